@@ -1,0 +1,105 @@
+#!/usr/bin/env python3
+"""Write the C constants of a robot file: generate_constants.py ROBOT.toml OUTPUT_FOLDER.
+
+robot_constants.c holds the robot and the manifold's constant matrices (firmware/control/THEORY.md), computed in double;
+parameter_table.h and .c hold the parameters that can be set over CAN.
+"""
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from host_sim.errors import OmnibotError
+from host_sim.robot import Parameter, Robot, load_robot
+
+NOTE = "// Generated from {source} by tools/generate_constants.py; do not edit.\n"
+
+
+def c_float(value: float) -> str:
+    """Return a C literal of single precision that reads back as the nearest float."""
+    text = f"{float(np.float32(value)):.9g}"
+    return f"{text}f" if "." in text or "e" in text else f"{text}.0f"
+
+
+def c_matrix(matrix: NDArray[np.floating[Any]]) -> str:
+    """Return the initialiser of a mat3_t."""
+    clean = np.where(np.abs(matrix) < 1e-12 * np.abs(matrix).max(), 0.0, matrix)  # rounding of a true zero
+    rows = ", ".join("{" + ", ".join(c_float(x) for x in row) + "}" for row in clean)
+    return f"{{{{{rows}}}}}"
+
+
+def robot_fields(robot: Robot) -> list[tuple[str, str, str]]:
+    """Return field, initialiser and source formula of a robot_t."""
+    jr, r = robot.Jr, robot.wheel_radius_m
+    gamma = jr @ jr.T + r**2 * np.eye(3)
+    period_us = round(1e6 * robot.control_period_s)
+    return [
+        ("tracked_point_offset_m", c_float(robot.tracked_point_offset_m), "L"),
+        ("wheel_distance_m", c_float(robot.wheel_distance_m), "b"),
+        ("wheel_radius_m", c_float(r), "r"),
+        ("wheel_inertia_kgm2", c_float(robot.wheel_inertia_kg_m2), "Iw"),
+        ("normalised_stiffness_N", c_float(robot.normalised_stiffness_N), "G0"),
+        ("control_period_us", f"{period_us}u", "T"),
+        ("wheel_rate_of_twist", c_matrix(jr / r), "J = Jr / r"),
+        ("twist_of_wheel_rate", c_matrix(r * np.linalg.inv(jr)), "J^-1"),
+        ("drive_directions", c_matrix(jr), "Jr"),
+        ("twist_of_contact_speed", c_matrix(np.linalg.inv(jr)), "Jr^-1"),
+        ("body_force_of_wheels", c_matrix(jr.T), "Jr^T"),
+        ("slip_mobility_inverse", c_matrix(np.linalg.inv(gamma)), "Gamma^-1 = (Jr Jr^T + r^2 I)^-1"),
+        ("wheel_force_of_accel", c_matrix(np.linalg.inv(jr.T) @ np.diag(robot.Mo)), "Lambda = Jr^-T Mo"),
+    ]
+
+
+def constants_source(robot: Robot) -> str:
+    """Return robot_constants.c."""
+    lines = [f"    .{field} = {value}, // {formula}" for field, value, formula in robot_fields(robot)]
+    return '#include "robot.h"\n\nconst robot_t omnibot = {\n' + "\n".join(lines) + "\n};\n"
+
+
+def table_header(parameters: tuple[Parameter, ...]) -> str:
+    """Return parameter_table.h: an index a parameter."""
+    names = "\n".join(f"    PARAMETER_{p.name.upper()} = {p.index}, // {p.unit}; {p.source}" for p in parameters)
+    return (
+        "#ifndef OMNIBOT_PARAMETER_TABLE_H\n#define OMNIBOT_PARAMETER_TABLE_H\n\n#include <stdbool.h>\n\n"
+        f"enum {{\n{names}\n    PARAMETER_COUNT = {len(parameters)}\n}};\n\n"
+        "typedef struct {\n    float minimum, maximum, initial;\n    bool integer;\n} parameter_description_t;\n\n"
+        "extern const parameter_description_t parameter_table[PARAMETER_COUNT];\n\n#endif\n"
+    )
+
+
+def table_source(parameters: tuple[Parameter, ...]) -> str:
+    """Return parameter_table.c: range and default of each parameter."""
+    rows = "\n".join(
+        f"    [PARAMETER_{p.name.upper()}] = {{{c_float(p.minimum)}, {c_float(p.maximum)}, {c_float(p.default)}, "
+        f"{'true' if p.integer else 'false'}}},"
+        for p in parameters
+    )
+    table = "const parameter_description_t parameter_table[PARAMETER_COUNT]"
+    return f'#include "parameter_table.h"\n\n{table} = {{\n{rows}\n}};\n'
+
+
+def main() -> None:
+    """Generate robot_constants.c, parameter_table.h and parameter_table.c."""
+    if len(sys.argv) != 3:
+        sys.exit("usage: generate_constants.py ROBOT.toml OUTPUT_FOLDER")
+    source, folder = Path(sys.argv[1]), Path(sys.argv[2])
+    try:
+        robot = load_robot(source)
+    except OmnibotError as error:
+        sys.exit(str(error))
+    if [p.index for p in robot.parameters] != list(range(len(robot.parameters))):
+        sys.exit(f"{source}: the parameters' indices must be 0, 1, 2 … in order")
+    note = NOTE.format(source=source.name)
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "robot_constants.c").write_text(note + constants_source(robot), encoding="utf-8")
+    (folder / "parameter_table.h").write_text(note + table_header(robot.parameters), encoding="utf-8")
+    (folder / "parameter_table.c").write_text(note + table_source(robot.parameters), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
