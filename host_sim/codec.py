@@ -1,0 +1,172 @@
+"""The wire: ``protocol/omnibot.dbc`` as functions from SI values to bytes and back.
+
+cantools reads the definition; the arithmetic is ours, because cantools truncates and neither clamps nor knows 'not
+available'. The same rules hold in the firmware: values are rounded to the nearest step and held within the range, NaN is
+the most negative raw value of a signed physical signal, and a signal called ``crc`` is made and checked here.
+"""
+
+import math
+import struct
+import zlib
+from pathlib import Path
+from typing import NamedTuple, cast
+
+import cantools
+from cantools.database.can import Database, Message, Signal
+
+from host_sim.errors import OmnibotError
+from host_sim.robot import ROOT
+
+DBC_FILE = ROOT / "protocol" / "omnibot.dbc"
+NODE_BITS = 4
+NODES = 1 << NODE_BITS
+
+
+class WireError(OmnibotError):
+    """A frame that is not what it says it is."""
+
+
+def crc8(data: bytes, crc: int = 0xFF) -> int:
+    """CRC-8 SAE J1850 without the final inversion, so that it can be continued."""
+    for byte in data:
+        crc = _CRC8[crc ^ byte]
+    return crc
+
+
+def _crc8_table() -> bytes:
+    table = bytearray()
+    for byte in range(256):
+        crc = byte
+        for _ in range(8):
+            crc = (crc << 1) ^ 0x1D if crc & 0x80 else crc << 1
+        table.append(crc & 0xFF)
+    return bytes(table)
+
+
+_CRC8 = _crc8_table()
+
+
+class Field(NamedTuple):
+    """How one signal lies in the little-endian word of the payload; ``raw_max`` is 0 for plain unsigned ones."""
+
+    name: str
+    start: int
+    mask: int
+    sign: int
+    raw_max: int
+    unit_per_step: float
+    steps_per_unit: float
+    is_float: bool
+
+
+def _field(signal: Signal) -> Field:
+    physical = signal.is_signed and not signal.is_float
+    sign = 1 << (signal.length - 1)
+    scale = float(signal.scale)
+    return Field(
+        name=signal.name,
+        start=signal.start,
+        mask=(1 << signal.length) - 1,
+        sign=sign if physical else 0,
+        raw_max=sign - 1 if physical else 0,
+        unit_per_step=scale,
+        steps_per_unit=1.0 / scale,
+        is_float=signal.is_float,
+    )
+
+
+class MessageCodec:
+    """One message of the wire for one node: ``pack`` and ``unpack`` take and give values in the order of ``fields``."""
+
+    def __init__(self, message: Message, node: int) -> None:
+        self.name = message.name
+        self.arbitration_id = message.frame_id | node
+        self.length = message.length
+        self.fields = tuple(_field(signal) for signal in message.signals if signal.name != "crc")
+        self.choices = {s.name: {str(v): int(k) for k, v in s.choices.items()} for s in message.signals if s.choices}
+        self._has_crc = any(signal.name == "crc" for signal in message.signals)
+        self._id_crc = crc8(self.arbitration_id.to_bytes(2, "little"))
+
+    def pack(self, *values: float) -> bytes:
+        """Return the payload of the values, one for each of ``fields``, in SI units."""
+        word = 0
+        for field, value in zip(self.fields, values, strict=True):
+            word |= _to_raw(field, value) << field.start
+        data = word.to_bytes(self.length, "little")
+        if not self._has_crc:
+            return data
+        return data[:-1] + bytes((crc8(data[:-1], self._id_crc) ^ 0xFF,))
+
+    def unpack(self, data: bytes) -> tuple[float, ...]:
+        """Return the values of a payload; WireError for one that is too short, too long or damaged."""
+        if len(data) != self.length:
+            raise WireError(f"{self.name} has {len(data)} bytes; it must have {self.length}")
+        if self._has_crc and crc8(data[:-1], self._id_crc) ^ 0xFF != data[-1]:
+            raise WireError(f"{self.name} {data.hex()} is damaged: its CRC is wrong")
+        word = int.from_bytes(data, "little")
+        return tuple([_from_raw(field, word >> field.start & field.mask) for field in self.fields])
+
+    def named(self, data: bytes) -> dict[str, float]:
+        """Return the values of a payload by name."""
+        return dict(zip((field.name for field in self.fields), self.unpack(data), strict=True))
+
+    def label(self, signal: str, value: float) -> str:
+        """Return the name that the definition gives to a value of a signal."""
+        return next((name for name, number in self.choices[signal].items() if number == value), f"{value:g}")
+
+
+def _to_raw(field: Field, value: float) -> int:
+    if field.is_float:
+        return _float_bits(field, value)
+    if not field.raw_max:
+        if not (0 <= value <= field.mask and value == int(value)):
+            raise OmnibotError(f"{field.name} = {value} must be a whole number, 0 … {field.mask}")
+        return int(value)
+    steps = value * field.steps_per_unit
+    if math.isnan(steps):
+        return field.sign
+    steps = max(-field.raw_max, min(field.raw_max, steps))
+    return int(steps + math.copysign(0.5, steps)) & field.mask
+
+
+def _float_bits(field: Field, value: float) -> int:
+    try:
+        return int.from_bytes(struct.pack("<f", value), "little")
+    except OverflowError as error:
+        raise OmnibotError(f"{field.name} = {value} is too large for single precision") from error
+
+
+def _from_raw(field: Field, raw: int) -> float:
+    if field.is_float:
+        return cast(float, struct.unpack("<f", raw.to_bytes(4, "little"))[0])
+    if not field.raw_max:
+        return raw
+    if raw == field.sign:
+        return math.nan
+    return ((raw ^ field.sign) - field.sign) * field.unit_per_step
+
+
+class Codec:
+    """Every message of a wire definition, by name, for one node."""
+
+    def __init__(self, dbc: Path = DBC_FILE, node: int = 0) -> None:
+        if not 0 <= node < NODES:
+            raise OmnibotError(f"node {node}: must be 0 … {NODES - 1}")
+        try:
+            content = dbc.read_bytes()
+            database = cantools.database.load_string(content.decode("utf-8"), "dbc")
+        except (OSError, UnicodeDecodeError, cantools.Error) as error:
+            raise OmnibotError(f"cannot read the wire definition {dbc}: {error}") from error
+        self.node = node
+        # Line ends are a matter of the checkout, not of the wire.
+        self.protocol_hash = zlib.crc32(content.replace(b"\r\n", b"\n"))
+        messages = cast(Database, database).messages
+        self._by_name = {message.name: MessageCodec(message, node) for message in messages}
+        self._by_id = {codec.arbitration_id: codec for codec in self._by_name.values()}
+
+    def __getitem__(self, name: str) -> MessageCodec:
+        return self._by_name[name]
+
+    def of_id(self, arbitration_id: int) -> MessageCodec | None:
+        """Return the message of an identifier, if it is one of ours."""
+        return self._by_id.get(arbitration_id)
