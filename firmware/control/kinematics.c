@@ -1,0 +1,37 @@
+// SPDX-License-Identifier: MIT
+#include "kinematics.h"
+
+vec3_t kinematics_odometry(const robot_t *robot, vec3_t wheel_speed_rad_per_s)
+{
+    return mat3_apply(&robot->twist_of_wheel_rate, wheel_speed_rad_per_s);
+}
+
+vec3_t kinematics_output(const robot_t *robot, vec3_t pose, rotation_t heading)
+{
+    const float offset_m = robot->tracked_point_offset_m;
+    return (vec3_t){pose.x - offset_m * heading.sine, pose.y + offset_m * heading.cosine, pose.z};
+}
+
+vec3_t kinematics_point_twist(const robot_t *robot, vec3_t twist)
+{
+    return (vec3_t){twist.x - robot->tracked_point_offset_m * twist.z, twist.y, twist.z};
+}
+
+vec3_t kinematics_twist_of_point(const robot_t *robot, vec3_t point_twist)
+{
+    return (vec3_t){point_twist.x + robot->tracked_point_offset_m * point_twist.z, point_twist.y, point_twist.z};
+}
+
+float kinematics_speed(vec3_t twist, float speed_length_m)
+{
+    const float turn = speed_length_m * twist.z;
+    return sqrtf(twist.x * twist.x + twist.y * twist.y + turn * turn);
+}
+
+float kinematics_speed_rate(vec3_t twist, vec3_t acceleration, float speed_length_m)
+{
+    const float speed = kinematics_speed(twist, speed_length_m);
+    const float turn = speed_length_m * speed_length_m * twist.z;
+    const float product = twist.x * acceleration.x + twist.y * acceleration.y + turn * acceleration.z;
+    return speed > 0.0f ? product / speed : 0.0f;
+}

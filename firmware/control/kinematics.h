@@ -1,0 +1,27 @@
+// SPDX-License-Identifier: MIT
+// Kinematics (1), (2), (12), (14) of the paper; a twist is [νx, νy, ω] in the body frame (m/s, m/s, rad/s).
+#ifndef OMNIBOT_CONTROL_KINEMATICS_H
+#define OMNIBOT_CONTROL_KINEMATICS_H
+
+#include "robot.h"
+#include "trigonometry.h"
+
+/// Twist that the encoders tell: v_odo = J⁻¹ φ̇, with wheel speeds in rad/s. Theory (K3).
+vec3_t kinematics_odometry(const robot_t *robot, vec3_t wheel_speed_rad_per_s);
+
+/// Output y = (p1, p2, θ) of a pose (x1, x2, θ): p = x + L (−sin θ, cos θ). Paper (12).
+vec3_t kinematics_output(const robot_t *robot, vec3_t pose, rotation_t heading);
+
+/// Velocity of p in the body frame: T ν with T = [1 0 −L; 0 1 0; 0 0 1]. Theory (K4).
+vec3_t kinematics_point_twist(const robot_t *robot, vec3_t twist);
+
+/// T⁻¹ of the same.
+vec3_t kinematics_twist_of_point(const robot_t *robot, vec3_t point_twist);
+
+/// Speed V = (νx² + νy² + (ℓ ω)²)^½ in m/s. Paper (14).
+float kinematics_speed(vec3_t twist, float speed_length_m);
+
+/// V̇ for a twist that changes at the given rate; 0 at rest, where V has no derivative.
+float kinematics_speed_rate(vec3_t twist, vec3_t acceleration, float speed_length_m);
+
+#endif

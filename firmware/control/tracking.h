@@ -1,0 +1,34 @@
+// SPDX-License-Identifier: MIT
+// The auxiliary control law (33): the acceleration that makes the tracking error obey ÿ̃ + K2 ẏ̃ + K1 ỹ = 0, for the
+// output y = (p1, p2, θ). All in the body frame, where ∆ is the constant T of kinematics.h.
+#ifndef OMNIBOT_CONTROL_TRACKING_H
+#define OMNIBOT_CONTROL_TRACKING_H
+
+#include "robot.h"
+#include "trajectory.h"
+#include "trigonometry.h"
+
+/// Diagonals of K1 and K2. The two planar entries must be equal: only then do the gains look the same from the body.
+typedef struct {
+    vec3_t stiffness_per_s2; // K1
+    vec3_t damping_per_s;    // K2
+} tracking_gains_t;
+
+/// Tracking error and reference derivatives seen from the body: what (33) needs beside the twist.
+typedef struct {
+    vec3_t error;        // Rᵀ(y − yref), heading wrapped to ±π
+    vec3_t velocity;     // Rᵀ ẏref
+    vec3_t acceleration; // Rᵀ ÿref
+    vec3_t jerk;         // Rᵀ y⃛ref
+} tracking_t;
+
+tracking_t tracking_from(const robot_t *robot, vec3_t pose, const reference_t *reference);
+
+/// η of (33): the body acceleration ν̇ that the law asks for at a twist ν. Theory (C2).
+vec3_t tracking_eta(const robot_t *robot, const tracking_gains_t *gains, const tracking_t *tracking, vec3_t twist);
+
+/// η̇ along the closed loop, where ν̇ = η. Theory (C4).
+vec3_t tracking_eta_rate(const robot_t *robot, const tracking_gains_t *gains, const tracking_t *tracking, vec3_t twist,
+                         vec3_t eta);
+
+#endif
