@@ -1,0 +1,51 @@
+// SPDX-License-Identifier: MIT
+#include "parameters.h"
+
+#include "messages.h"
+
+void parameters_reset(parameters_t *parameters)
+{
+    for (int i = 0; i < PARAMETER_COUNT; i++) {
+        parameters->value[i] = parameter_table[i].initial;
+    }
+}
+
+/// The value lies in its range, and is whole where it must be. NaN does neither.
+static bool is_allowed(const parameter_description_t *description, float value)
+{
+    if (!(value >= description->minimum && value <= description->maximum)) {
+        return false;
+    }
+    const float fraction = value - (float)(int32_t)value;
+    return !description->integer || !(fabsf(fraction) > 0.0f);
+}
+
+uint8_t parameters_set(parameters_t *parameters, uint8_t index, float value)
+{
+    if (index >= PARAMETER_COUNT) {
+        return PARAMETER_VALUE_RESULT_UNKNOWN_INDEX;
+    }
+    if (!is_allowed(&parameter_table[index], value)) {
+        return PARAMETER_VALUE_RESULT_OUT_OF_RANGE;
+    }
+    parameters->value[index] = value;
+    return PARAMETER_VALUE_RESULT_OK;
+}
+
+control_params_t parameters_for_control(const parameters_t *parameters, const robot_t *robot)
+{
+    const float *value = parameters->value;
+    const float K1 = value[PARAMETER_POSITION_STIFFNESS_PER_S2];
+    const float K2 = value[PARAMETER_POSITION_DAMPING_PER_S];
+    return (control_params_t){
+        .robot = robot,
+        .order = (int32_t)value[PARAMETER_ORDER],
+        .epsilon_per_N = value[PARAMETER_EPSILON],
+        .delta_mps = value[PARAMETER_DELTA_M_PER_S],
+        .speed_length_m = value[PARAMETER_SPEED_LENGTH_M],
+        .gains = {.stiffness_per_s2 = {K1, K1, value[PARAMETER_HEADING_STIFFNESS_PER_S2]},
+                  .damping_per_s = {K2, K2, value[PARAMETER_HEADING_DAMPING_PER_S]}},
+        .force_bound_N = value[PARAMETER_FORCE_BOUND_N],
+        .torque_bound_Nm = value[PARAMETER_TORQUE_BOUND_NM],
+    };
+}

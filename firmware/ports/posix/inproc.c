@@ -1,0 +1,26 @@
+// SPDX-License-Identifier: MIT
+#include "inproc.h"
+
+#include "app.h"
+
+#define EXPORTED __attribute__((visibility("default")))
+
+EXPORTED size_t omnibot_size(void)
+{
+    return sizeof(app_t);
+}
+
+EXPORTED void omnibot_init(void *memory, uint8_t node)
+{
+    app_init(memory, &omnibot, node);
+}
+
+EXPORTED void omnibot_receive(void *instance, const frame_t *frame)
+{
+    app_receive(instance, frame);
+}
+
+EXPORTED bool omnibot_transmit(void *instance, frame_t *frame)
+{
+    return app_transmit(instance, frame);
+}

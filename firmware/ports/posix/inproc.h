@@ -1,0 +1,24 @@
+// SPDX-License-Identifier: MIT
+// The firmware as a shared library: an instance per caller, in the caller's memory. host_sim/inproc.py is its user.
+#ifndef OMNIBOT_PORTS_POSIX_INPROC_H
+#define OMNIBOT_PORTS_POSIX_INPROC_H
+
+#include "frame.h"
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+/// Bytes of memory an instance needs, aligned for any type.
+size_t omnibot_size(void);
+
+/// Makes an instance of node 0 … 15 in `memory`.
+void omnibot_init(void *memory, uint8_t node);
+
+/// Gives the instance one frame off the bus; it acts on it at once.
+void omnibot_receive(void *instance, const frame_t *frame);
+
+/// Takes the instance's next frame for the bus; false when there is none.
+bool omnibot_transmit(void *instance, frame_t *frame);
+
+#endif
