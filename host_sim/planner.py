@@ -1,0 +1,577 @@
+"""Trajectories along the known paths: ramps from and to rest, sharp or rounded corners.
+
+Joints of a trajectory fall on whole microseconds. So that positions stay exact, the speed is changed by a hair (half a
+microsecond in the time of a side or lap) to make a side of the polygon, a lap of a curve, last whole microseconds, and
+ramps and corner blends are rounded up to an even number of them: the acceleration asked for is never exceeded.
+"""
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import islice, pairwise
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from host_sim.errors import OmnibotError
+from host_sim.trajectory import AXES, COEFFICIENTS, MAX_DURATION_US, Array, Path, Polyline, Segment, Trajectory
+
+MAX_SEGMENTS = 128  # what the firmware stores
+
+RHOMBUS_DIAGONAL_M = 6.28
+CIRCLE_RADIUS_M = 1.0
+LEMNISCATE_HALF_WIDTH_M = 1.5
+LINE_LENGTH_M = 4.0  # of a line without a duration
+
+PATHS = ("rhombus", "line", "circle", "lemniscate")
+CORNERS = ("sharp", "rounded")
+
+_CUBIC_PEAK = 1.5  # slope of the cubic smoothstep at its middle
+_QUINTIC_PEAK = 1.875  # the same of the quintic one
+_SHORTEST_UNIT_S = 0.1  # a side or a lap lasts at least this long, so that whole microseconds do not matter
+_SPEED_MARGIN = 1e-4  # by which the speed must stay below the limit, for the same reason
+_FIT_TOLERANCE_M = 1e-7
+
+Complex = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class PathRequest:
+    """What to drive.
+
+    Attributes
+    ----------
+    path
+        ``rhombus``: diagonals of 6.28 m, centred at the origin, from (3.14, 0) counter-clockwise; ``line``: from the
+        origin along x1; ``circle``: radius 1 m, centred at the origin, from (1, 0) counter-clockwise; ``lemniscate``:
+        Bernoulli's, half width 1.5 m, from (1.5, 0) upwards. The heading stays 0.
+    speed_m_per_s
+        Speed along the path, constant between the ramps.
+    corner
+        ``sharp``: the velocity jumps; ``rounded``: it blends from one side's to the next's around the corner's time.
+    corner_accel_m_per_s2
+        Peak acceleration of ramps and corner blends. Along a curve the centripetal one comes on top.
+    duration_s
+        Time to the end, at rest; None: one full lap, or 4 m of the line. An end that falls into a corner (from half a
+        ramp after its time until a ramp fits behind it) stops at the vertex and waits there for the end.
+    start_before_corner_s
+        None: start from rest; else start in motion this long before the time of the first corner.
+    """
+
+    path: str
+    speed_m_per_s: float
+    corner: str = "rounded"
+    corner_accel_m_per_s2: float = 2.0
+    duration_s: float | None = None
+    start_before_corner_s: float | None = None
+
+    def __post_init__(self) -> None:
+        _check_choice("path", self.path, PATHS)
+        _check_choice("corner", self.corner, CORNERS)
+        _check_range("speed_m_per_s", self.speed_m_per_s)
+        _check_range("corner_accel_m_per_s2", self.corner_accel_m_per_s2)
+        if self.duration_s is not None:
+            _check_range("duration_s", self.duration_s)
+        if self.start_before_corner_s is not None:
+            _check_range("start_before_corner_s", self.start_before_corner_s)
+        if self.start_before_corner_s is not None and self.path != "rhombus":
+            raise OmnibotError(f"start_before_corner_s needs a path with corners (rhombus); {self.path} has none")
+
+
+def plan(request: PathRequest) -> Trajectory:
+    """Make the trajectory asked for, or say what is in the way."""
+    course = _polygon_course(request) if request.path == "rhombus" else _smooth_course(request)
+    duration_us = course.default_us if request.duration_s is None else round(request.duration_s * 1e6)
+    if duration_us < course.shortest_us:
+        needed = f"to reach {request.speed_m_per_s:g} m/s and stop takes {_seconds(course.shortest_us)} s"
+        raise OmnibotError(f"duration_s = {_seconds(duration_us)} is too short: {needed} or more")
+    segments = _collected(course, duration_us)
+    if segments is None:
+        longest = _seconds(_longest_us(course, duration_us))
+        stores = f"the firmware stores {MAX_SEGMENTS} segments"
+        raise OmnibotError(f"duration_s = {_seconds(duration_us)} is too long: {stores}, enough for {longest} s")
+    return Trajectory(segments, course.path(duration_us))
+
+
+class _Course(Protocol):
+    """A path with its speed and ramps fixed; only the duration is open."""
+
+    @property
+    def shortest_us(self) -> int:
+        """Shortest duration that works."""
+
+    @property
+    def default_us(self) -> int:
+        """Duration of a full lap."""
+
+    def path(self, duration_us: int) -> Path:
+        """Path that is driven."""
+
+    def segments(self, duration_us: int) -> Iterator[Segment]:
+        """Segments one by one: of a long duration only as many are made as are asked for."""
+
+
+class _TooManySegmentsError(Exception):
+    """A curve needs more pieces than the firmware stores."""
+
+
+def _collected(course: _Course, duration_us: int) -> list[Segment] | None:
+    """Return all segments, or None if they are more than the firmware stores."""
+    try:
+        segments = list(islice(course.segments(duration_us), MAX_SEGMENTS + 1))
+    except _TooManySegmentsError:
+        return None
+    return segments if len(segments) <= MAX_SEGMENTS else None
+
+
+def _longest_us(course: _Course, too_long_us: int) -> int:
+    """Bisect for the longest duration that the firmware stores."""
+    good, bad = course.shortest_us, too_long_us
+    while bad - good > 1:
+        middle = (good + bad) // 2
+        if _collected(course, middle) is None:
+            bad = middle
+        else:
+            good = middle
+    return good
+
+
+# ------------------------------------------------------------------------------------------------- checks and units
+
+
+def _check_choice(name: str, value: str, choices: tuple[str, ...]) -> None:
+    if value not in choices:
+        raise OmnibotError(f"unknown {name} {value!r}; there are: {', '.join(choices)}")
+
+
+def _check_range(name: str, value: float, lowest: float = 1e-6, highest: float = 1e6) -> None:
+    """Refuse what no robot does, NaN included.
+
+    So times in microseconds stay sensible whole numbers, and a ramp that fits a polygon's side fits into a segment.
+    """
+    if not lowest <= value <= highest:
+        raise OmnibotError(f"{name} = {value:g} must be a number above 0, from {lowest:g} to {highest:g}")
+
+
+def _check_speed(request: PathRequest, what: str, length_m: float, stretch: float | None) -> None:
+    """Check that ramps and blends fit into a length.
+
+    ``stretch`` is the length they take in units of speed² / acceleration, None if there is time for them in any case.
+    """
+    speed, accel = request.speed_m_per_s, request.corner_accel_m_per_s2
+    by_time = length_m / _SHORTEST_UNIT_S
+    by_accel = math.sqrt(length_m * accel / stretch) if stretch else math.inf
+    limit = min(by_time, by_accel) * (1.0 - _SPEED_MARGIN)
+    if speed > limit:
+        cure = f"at most {_rounded(limit, math.floor)} m/s"
+        if speed <= by_time * (1.0 - _SPEED_MARGIN):
+            least = accel * (speed / limit) ** 2
+            cure += f", or corner_accel_m_per_s2 of at least {_rounded(least, math.ceil)}"
+        raise OmnibotError(f"speed_m_per_s = {speed:g} is too high for {what} of {length_m:.4g} m: {cure}")
+
+
+def _rounded(value: float, to_whole: Callable[[float], int]) -> str:
+    """Four significant digits, rounded to the safe side by ``math.floor`` or ``math.ceil``."""
+    unit = 10.0 ** (math.floor(math.log10(value)) - 3)
+    return f"{to_whole(value / unit) * unit:.4g}"
+
+
+def _seconds(time_us: int) -> str:
+    return f"{time_us // 1_000_000}.{time_us % 1_000_000:06d}".rstrip("0").rstrip(".")
+
+
+def _even_us(seconds: float) -> int:
+    """Round up to an even number of microseconds, so that half of it is a whole one."""
+    return 2 * max(1, math.ceil(seconds * 0.5e6))
+
+
+# ------------------------------------------------------------------------------------------------------- polygon
+
+
+@dataclass(frozen=True, eq=False)
+class _PolygonCourse:
+    """Laps of a polygon with sides of equal length, at constant speed but for the ramps.
+
+    Its clock is that of the sharp path: side k starts at ``corner_us(k)`` and is ``side_us`` long. A ramp covers half
+    of what the full speed would, and a blend symmetric around the corner's time ends where the sharp path is then.
+    """
+
+    vertices: Array  # (m, 2), m
+    speed_m_per_s: float
+    side_us: int
+    ramp_us: int
+    blend_us: int  # 0: sharp
+    first_corner_us: int
+    starts_moving: bool
+
+    @property
+    def shortest_us(self) -> int:
+        """Stop as soon as the full speed is reached, or, if there is no room, behind the first corner."""
+        earliest = self.ramp_us if self.starts_moving else 2 * self.ramp_us
+        at_vertex = self.first_corner_us + self.ramp_us // 2
+        return earliest if at_vertex >= earliest else self.first_corner_us + self.blend_us // 2 + self.ramp_us
+
+    @property
+    def default_us(self) -> int:
+        """One lap: ends where it started."""
+        lap_us = len(self.vertices) * self.side_us
+        return lap_us + (self.ramp_us // 2 if self.starts_moving else self.ramp_us)
+
+    def path(self, duration_us: int) -> Path:  # noqa: ARG002
+        """Whole polygon, whatever the duration."""
+        return Polyline(self.vertices)
+
+    def segments(self, duration_us: int) -> Iterator[Segment]:
+        """Ramp up, sides and corners in turn, ramp down, rest."""
+        corners, stop_us = self._stop(duration_us)
+        rest, now_us = np.zeros(2), 0
+        if not self.starts_moving:
+            yield _blend(self.vertices[0], rest, self._velocity(0), self.ramp_us)
+            now_us = self.ramp_us
+        for corner in range(1, corners + 1):
+            begin_us = self._corner_us(corner) - self.blend_us // 2
+            yield from self._straight(corner - 1, now_us, begin_us)
+            if self.blend_us:
+                begin = self._position(corner - 1, begin_us)
+                yield _blend(begin, self._velocity(corner - 1), self._velocity(corner), self.blend_us)
+            now_us = begin_us + self.blend_us
+        ramp_at_us = stop_us - self.ramp_us
+        yield from self._straight(corners, now_us, ramp_at_us)
+        yield _blend(self._position(corners, ramp_at_us), self._velocity(corners), rest, self.ramp_us)
+        yield from _uniform(self._position(corners, stop_us - self.ramp_us // 2), rest, duration_us - stop_us)
+
+    def _stop(self, duration_us: int) -> tuple[int, int]:
+        """Return how many corners are passed, and when the ramp down ends: at the vertex that it would cut at latest.
+
+        A corner is passed if the ramp down fits behind it.
+        """
+        behind_us = duration_us - self.ramp_us - self.blend_us // 2 - self.first_corner_us
+        corners = max(0, behind_us // self.side_us + 1)
+        return corners, min(duration_us, self._corner_us(corners + 1) + self.ramp_us // 2)
+
+    def _corner_us(self, corner: int) -> int:
+        return self.first_corner_us + (corner - 1) * self.side_us
+
+    def _velocity(self, side: int) -> Array:
+        """Velocity on a side, shape (2,) in m/s."""
+        start, end = self.vertices[side % len(self.vertices)], self.vertices[(side + 1) % len(self.vertices)]
+        return np.asarray(self.speed_m_per_s * (end - start) / np.hypot(*(end - start)))
+
+    def _position(self, side: int, at_us: int) -> Array:
+        """Position of the sharp path on a side, shape (2,) in m."""
+        since_s = (at_us - self._corner_us(side)) * 1e-6
+        return np.asarray(self.vertices[side % len(self.vertices)] + self._velocity(side) * since_s)
+
+    def _straight(self, side: int, begin_us: int, end_us: int) -> Iterator[Segment]:
+        return _uniform(self._position(side, begin_us), self._velocity(side), end_us - begin_us)
+
+
+def _polygon_course(request: PathRequest) -> _PolygonCourse:
+    half = RHOMBUS_DIAGONAL_M / 2.0
+    vertices = np.array([[half, 0.0], [0.0, half], [-half, 0.0], [0.0, -half]])
+    side_m, turn = math.sqrt(2.0) * half, math.sqrt(2.0)  # turn: velocity jump at a corner in units of the speed
+    rounded = request.corner == "rounded"
+    _check_speed(request, "a side", side_m, _CUBIC_PEAK * (turn if rounded else 1.0))
+    side_us = round(side_m / request.speed_m_per_s * 1e6)
+    speed = side_m / (side_us * 1e-6)
+    ramp_s = _CUBIC_PEAK * speed / request.corner_accel_m_per_s2
+    ramp_us = _even_us(ramp_s)
+    blend_us = _even_us(ramp_s * turn) if rounded else 0
+    first_us = _first_corner_us(request.start_before_corner_s, side_us, ramp_us, blend_us)
+    moving = request.start_before_corner_s is not None
+    return _PolygonCourse(vertices, speed, side_us, ramp_us, blend_us, first_us, moving)
+
+
+def _first_corner_us(start_before_s: float | None, side_us: int, ramp_us: int, blend_us: int) -> int:
+    """Time of the first corner on the sharp path."""
+    if start_before_s is None:
+        return ramp_us // 2 + side_us
+    first_us = round(start_before_s * 1e6)
+    if first_us > side_us:
+        most = f"the side lasts {_seconds(side_us)} s; at most that"
+        raise OmnibotError(f"start_before_corner_s = {start_before_s:g} is too long: {most}")
+    if first_us < blend_us // 2:
+        least = f"the rounded corner begins {_seconds(blend_us // 2)} s before its time; at least that"
+        raise OmnibotError(f"start_before_corner_s = {start_before_s:g} is too short: {least}")
+    return first_us
+
+
+def _blend(start: Array, before: Array, after: Array, duration_us: int) -> Segment:
+    """Change velocity from ``before`` to ``after``, shape (2,) in m/s, by a cubic smoothstep.
+
+    Peak acceleration: 1.5 times the change over the duration.
+    """
+    duration_s = duration_us * 1e-6
+    coefficients = np.zeros((AXES, COEFFICIENTS))
+    coefficients[:2, 0] = start
+    coefficients[:2, 1] = before * duration_s
+    coefficients[:2, 3] = (after - before) * duration_s
+    coefficients[:2, 4] = -0.5 * coefficients[:2, 3]
+    return Segment(duration_us, coefficients)
+
+
+def _uniform(start: Array, velocity: Array, duration_us: int) -> Iterator[Segment]:
+    """Constant velocity, shape (2,) in m/s, in as many segments as the longest one allows; none for no time."""
+    pieces = -(-duration_us // MAX_DURATION_US)
+    for piece in range(pieces):
+        begin_us, end_us = duration_us * piece // pieces, duration_us * (piece + 1) // pieces
+        yield _blend(start + velocity * (begin_us * 1e-6), velocity, velocity, end_us - begin_us)
+
+
+# -------------------------------------------------------------------------------------------------------- curves
+
+
+class _Curve(Protocol):
+    """A curve by its arc length."""
+
+    @property
+    def length_m(self) -> float:
+        """Length of a lap."""
+
+    @property
+    def reach_m(self) -> float:
+        """Longest piece that is worth trying as one polynomial."""
+
+    def derivatives(self, distance: Array) -> Array:
+        """Point and three derivatives by arc length, shape (n, 4, 2), at distances of shape (n,) in m."""
+
+
+@dataclass(frozen=True)
+class Line:
+    """From the origin along x1."""
+
+    length_m: float
+
+    @property
+    def reach_m(self) -> float:
+        """Short enough for the resolution of float32."""
+        return self.length_m
+
+    def derivatives(self, distance: Array) -> Array:
+        """Point and three derivatives by arc length, shape (n, 4, 2), at distances of shape (n,) in m."""
+        result = np.zeros((len(distance), 4, 2))
+        result[:, 0, 0] = distance
+        result[:, 1, 0] = 1.0
+        return result
+
+
+@dataclass(frozen=True)
+class Circle:
+    """Centred at the origin, counter-clockwise from (radius, 0)."""
+
+    radius_m: float
+
+    @property
+    def length_m(self) -> float:
+        """Circumference."""
+        return 2.0 * math.pi * self.radius_m
+
+    @property
+    def reach_m(self) -> float:
+        """A quarter."""
+        return self.length_m / 4.0
+
+    def derivatives(self, distance: Array) -> Array:
+        """Point and three derivatives by arc length, shape (n, 4, 2), at distances of shape (n,) in m."""
+        point = self.radius_m * np.exp(1j * distance / self.radius_m)
+        return _as_real([point * (1j / self.radius_m) ** order for order in range(4)])
+
+    def distance(self, points: Array) -> Array:
+        """Distance of points to the circle, shape (n,) in m, of points of shape (n, 2) in m."""
+        return np.asarray(np.abs(np.hypot(points[:, 0], points[:, 1]) - self.radius_m))
+
+    def outline(self) -> Array:
+        """Vertices to draw the circle with, shape (m, 2) in m."""
+        return np.asarray(self.derivatives(np.linspace(0.0, self.length_m, 361))[:, 0])
+
+
+@dataclass(frozen=True)
+class Lemniscate:
+    """Bernoulli's, centred at the origin, from its right end upwards.
+
+    With a the half width and parameter t: point a cos t / (1 - i sin t) = r exp(iφ), r with sign, φ = atan(sin t);
+    arc length ∫ a / √(1 + sin² t) dt; tangent i exp(3iφ); curvature 3 r / a².
+    """
+
+    half_width_m: float
+
+    @property
+    def length_m(self) -> float:
+        """Length of both loops."""
+        return float(2.0 * math.pi * self.half_width_m * self._series[0])
+
+    @property
+    def reach_m(self) -> float:
+        """An eighth, half of it bends."""
+        return self.length_m / 8.0
+
+    @cached_property
+    def _series(self) -> Array:
+        """Fourier coefficients of 1 / √(1 + sin² t) = c0 + Σ ck cos 2kt; they shrink by 0.17 each."""
+        samples = 64
+        spectrum = np.fft.rfft(1.0 / np.sqrt(1.0 + np.sin(np.pi * np.arange(samples) / samples) ** 2)).real / samples
+        return np.concatenate([spectrum[:1], 2.0 * spectrum[1 : samples // 2]])
+
+    def _parameter(self, distance: Array) -> Array:
+        """Parameter at arc lengths, both of shape (n,), by Newton's method."""
+        order = 2.0 * np.arange(1, len(self._series))
+        target = distance / self.half_width_m
+        parameter = np.asarray(target / self._series[0])
+        for _ in range(6):  # the error is at most 0.1 at first and squares each time
+            waves = np.sin(np.multiply.outer(parameter, order)) @ (self._series[1:] / order)
+            parameter -= (self._series[0] * parameter + waves - target) * np.sqrt(1.0 + np.sin(parameter) ** 2)
+        return parameter
+
+    def _at(self, parameter: Array) -> tuple[Complex, Complex, Array]:
+        """Point, tangent and curvature, each of shape (n,), at parameters of shape (n,)."""
+        point = self.half_width_m * np.cos(parameter) / (1.0 - 1j * np.sin(parameter))
+        direction = (1.0 + 1j * np.sin(parameter)) / np.sqrt(1.0 + np.sin(parameter) ** 2)
+        curvature = 3.0 * (point / direction).real / self.half_width_m**2
+        return point, 1j * direction**3, curvature
+
+    def derivatives(self, distance: Array) -> Array:
+        """Point and three derivatives by arc length, shape (n, 4, 2), at distances of shape (n,) in m."""
+        parameter = self._parameter(distance)
+        point, tangent, curvature = self._at(parameter)
+        bending = -3.0 * np.sin(2.0 * np.arctan(np.sin(parameter))) / self.half_width_m**2  # dκ/ds
+        return _as_real([point, tangent, 1j * curvature * tangent, (1j * bending - curvature**2) * tangent])
+
+    def distance(self, points: Array) -> Array:
+        """Distance of points to the lemniscate, shape (n,) in m, of points of shape (n, 2) in m.
+
+        Exact for points nearer than the smallest radius, a third of the half width; else good to a millimetre.
+        """
+        batches = np.array_split(points[:, 0] + 1j * points[:, 1], 1 + len(points) // 2048)
+        return np.concatenate([np.minimum(self._distance(b, 0.0), self._distance(b, np.pi)) for b in batches])
+
+    def _distance(self, points: Complex, start: float) -> Array:
+        """Distance of points of shape (n,) to half of the curve, so that it does not meet itself, from a parameter on.
+
+        The nearest of a grid is improved by Newton's method.
+        """
+        grid = start + np.linspace(0.0, np.pi, 257)
+        gap = np.abs(points[:, None] - self._at(grid)[0])
+        parameter, nearest = grid[np.argmin(gap, axis=1)], np.min(gap, axis=1)
+        for _ in range(4):
+            point, tangent, curvature = self._at(parameter)
+            offset = (point - points) * tangent.conj()  # along and across the tangent
+            step = offset.real / np.maximum(1.0 + curvature * offset.imag, 0.1)
+            parameter = parameter - step * np.sqrt(1.0 + np.sin(parameter) ** 2) / self.half_width_m
+        return np.asarray(np.minimum(nearest, np.abs(points - self._at(parameter)[0])))
+
+    def outline(self) -> Array:
+        """Vertices to draw the lemniscate with, shape (m, 2) in m."""
+        return np.asarray(self.derivatives(np.linspace(0.0, self.length_m, 361))[:, 0])
+
+
+def _as_real(columns: list[Complex]) -> Array:
+    """Shape (n, k, 2) of k complex columns of shape (n,)."""
+    stacked = np.stack(columns, axis=1)
+    return np.stack([stacked.real, stacked.imag], axis=-1)
+
+
+@dataclass(frozen=True)
+class _SmoothCourse:
+    """A curve driven from rest to rest, thrice continuously differentiable: septic pieces between exact nodes."""
+
+    curve: _Curve
+    speed_m_per_s: float
+    lap_us: int
+    ramp_us: int
+
+    @property
+    def shortest_us(self) -> int:
+        """Stop as soon as the full speed is reached."""
+        return 2 * self.ramp_us
+
+    @property
+    def default_us(self) -> int:
+        """One lap: ends where it started."""
+        return self.lap_us + self.ramp_us
+
+    def path(self, duration_us: int) -> Path:
+        """Whole curve; of the line as much as is driven."""
+        if isinstance(self.curve, Circle | Lemniscate):
+            return self.curve
+        return Polyline(self._exact(np.array([0.0, duration_us]), duration_us)[:, 0], closed=False)
+
+    def segments(self, duration_us: int) -> Iterator[Segment]:
+        """Ramp up, constant speed, ramp down."""
+        end_us = duration_us - self.ramp_us
+        for begin, end in ((0, self.ramp_us), (self.ramp_us, end_us), (end_us, duration_us)):
+            if end > begin:
+                yield from self._fitted(begin, end, duration_us)
+
+    def _fitted(self, begin_us: int, end_us: int, duration_us: int) -> list[Segment]:
+        """As few equal pieces as keep the position within the tolerance."""
+        span_us = end_us - begin_us
+        by_reach = math.ceil(self.speed_m_per_s * span_us * 1e-6 / self.curve.reach_m * (1.0 - 1e-9))
+        pieces = max(1, by_reach, -(-span_us // MAX_DURATION_US))
+        while pieces <= MAX_SEGMENTS:
+            nodes_us = [begin_us + span_us * piece // pieces for piece in range(pieces + 1)]
+            segments = _hermite(nodes_us, self._exact(np.array(nodes_us, dtype=np.float64), duration_us))
+            if self._error_m(segments, begin_us, end_us, duration_us) < _FIT_TOLERANCE_M:
+                return segments
+            pieces += 1 + pieces // 4
+        raise _TooManySegmentsError
+
+    def _error_m(self, segments: list[Segment], begin_us: int, end_us: int, duration_us: int) -> float:
+        """Largest distance between pieces and curve, over nine instants a piece."""
+        time_us = np.linspace(begin_us, end_us, 10 * len(segments), endpoint=False)
+        exact = self._exact(time_us, duration_us)[:, 0]
+        fitted = Trajectory(segments, Polyline(exact)).evaluate((time_us - begin_us) * 1e-6, derivatives=0)
+        return float(np.max(np.linalg.norm(fitted[:, 0, :2] - exact, axis=1)))
+
+    def _exact(self, time_us: Array, duration_us: int) -> Array:
+        """Position and three time derivatives, shape (n, 4, 2), at times of shape (n,): chain rule."""
+        up = _eased(time_us * 1e-6, self.ramp_us * 1e-6)
+        down = _eased((time_us - (duration_us - self.ramp_us)) * 1e-6, self.ramp_us * 1e-6)
+        distance, d1, d2, d3 = self.speed_m_per_s * (up - down)[:, :, None]
+        p0, p1, p2, p3 = np.moveaxis(self.curve.derivatives(distance[:, 0]), 1, 0)
+        third = p3 * d1**3 + 3.0 * p2 * d1 * d2 + p1 * d3
+        return np.stack([p0, p1 * d1, p2 * d1**2 + p1 * d2, third], axis=1)
+
+
+def _smooth_course(request: PathRequest) -> _SmoothCourse:
+    curves: dict[str, Line | Circle | Lemniscate] = {
+        "line": Line(LINE_LENGTH_M),
+        "circle": Circle(CIRCLE_RADIUS_M),
+        "lemniscate": Lemniscate(LEMNISCATE_HALF_WIDTH_M),
+    }
+    curve = curves[request.path]
+    what = "the line" if request.path == "line" else "a lap"
+    _check_speed(request, what, curve.length_m, _QUINTIC_PEAK if request.duration_s is None else None)
+    lap_us = round(curve.length_m / request.speed_m_per_s * 1e6)
+    speed = curve.length_m / (lap_us * 1e-6)
+    return _SmoothCourse(curve, speed, lap_us, _even_us(_QUINTIC_PEAK * speed / request.corner_accel_m_per_s2))
+
+
+def _eased(time_s: Array, ramp_s: float) -> Array:
+    """Distance at unit speed from rest, and three derivatives, shape (4, n), at times of shape (n,).
+
+    The speed rises from 0 at time 0 to 1 at ``ramp_s`` as the quintic smoothstep 10 s³ - 15 s⁴ + 6 s⁵.
+    """
+    s = np.clip(time_s / ramp_s, 0.0, 1.0)
+    distance = ramp_s * s**4 * (2.5 + s * (s - 3.0)) + np.maximum(time_s - ramp_s, 0.0)
+    speed = s**3 * (10.0 + s * (6.0 * s - 15.0))
+    return np.stack([distance, speed, 30.0 * (s * (1.0 - s)) ** 2 / ramp_s, _jerk(s) / ramp_s**2])
+
+
+def _jerk(s: Array) -> Array:
+    """Second derivative of the quintic smoothstep."""
+    return np.asarray(60.0 * s * (1.0 - s) * (1.0 - 2.0 * s))
+
+
+def _hermite(nodes_us: list[int], states: Array) -> list[Segment]:
+    """Polynomials of degree 7 through position and three time derivatives, shape (n, 4, 2), at n nodes in µs."""
+    durations_us = [end - begin for begin, end in pairwise(nodes_us)]
+    scale = (np.array(durations_us) * 1e-6)[:, None] ** np.arange(4)
+    left, right = states[:-1] * scale[:, :, None], states[1:] * scale[:, :, None]
+    low = left / np.array([1.0, 1.0, 2.0, 6.0])[:, None]
+    falling = np.array([[math.perm(power, order) for power in range(8)] for order in range(4)], dtype=np.float64)
+    high = np.linalg.solve(falling[:, 4:], right - falling[:, :4] @ low)
+    coefficients = np.zeros((len(low), AXES, COEFFICIENTS))
+    coefficients[:, :2] = np.concatenate([low, high], axis=1).transpose(0, 2, 1)
+    return [Segment(us, piece) for us, piece in zip(durations_us, coefficients, strict=True)]
