@@ -1,8 +1,8 @@
 """The wire: ``protocol/omnibot.dbc`` as functions from SI values to bytes and back.
 
 cantools reads the definition; the arithmetic is ours, because cantools truncates and neither clamps nor knows 'not
-available'. The same rules hold in the firmware: values are rounded to the nearest step and held within the range, NaN is
-the most negative raw value of a signed physical signal, and a signal called ``crc`` is made and checked here.
+available'. The same rules hold in the firmware: values are rounded to the nearest step and held within the range, NaN
+is the most negative raw value of a signed physical signal, and a signal called ``crc`` is made and checked here.
 """
 
 import math
