@@ -36,6 +36,7 @@ static void send_status(app_t *app)
     send(app, &frame);
 }
 
+/// For events that are not a COMMAND: it has its one STATUS anyway, and the host takes the first for the answer.
 static void handle_event(app_t *app, event_t event)
 {
     const uint8_t mode = mode_after(app->mode, event);
@@ -58,7 +59,7 @@ static void clear_faults(app_t *app)
 {
     app->fault = FAULT_NONE;
     app->fault_mask = 0;
-    handle_event(app, EVENT_CLEAR);
+    app->mode = mode_after(app->mode, EVENT_CLEAR);
 }
 
 // ---- one tick
@@ -167,6 +168,9 @@ static decode_result_t on_sync(app_t *app, const frame_t *frame)
         return result;
     }
     if (app->tick_known && sync.tick == app->tick) {
+        if (!mode_drives(app->mode)) {
+            compose_answers(app, &(control_output_t){0}); // it may have driven when the tick came first
+        }
         send_answers(app);
         return result;
     }
@@ -217,7 +221,7 @@ static uint8_t start(app_t *app)
     app->cursor = (trajectory_cursor_t){0, 0};
     app->tick_known = false;
     app->missed_ticks = 0;
-    handle_event(app, EVENT_START);
+    app->mode = mode_after(app->mode, EVENT_START);
     return REFUSAL_NONE;
 }
 
@@ -227,7 +231,7 @@ static uint8_t perform(app_t *app, uint8_t operation)
     case OPERATION_START:
         return start(app);
     case OPERATION_STOP:
-        handle_event(app, EVENT_STOP);
+        app->mode = mode_after(app->mode, EVENT_STOP);
         return REFUSAL_NONE;
     case OPERATION_CLEAR:
         clear_faults(app);

@@ -1,0 +1,312 @@
+"""The host's side of the wire: a session with one robot over any python-can bus."""
+
+import contextlib
+import time
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import can
+
+from host_sim.codec import Codec, WireError
+from host_sim.errors import OmnibotError
+from host_sim.robot import Parameter
+
+# A tick that is not answered is asked again this often; the firmware answers a repeated tick without a second step.
+REPEAT_S = 0.2
+TRAJECTORY_FRAME_BYTES = 6
+TRAJECTORY_ACK_FRAMES = 16
+
+FrameRecord = tuple[float, int, bytes]
+
+
+class SilentError(OmnibotError):
+    """The firmware did not answer in time."""
+
+
+class RefusedError(OmnibotError):
+    """The firmware answered that it will not."""
+
+
+class Identity(NamedTuple):
+    """Who answered."""
+
+    protocol_hash: int
+    version: str
+
+
+class Answer(NamedTuple):
+    """What the firmware said to a tick."""
+
+    torque_Nm: tuple[float, float, float]
+    mu_m_per_s: tuple[float, float, float]
+    mode: str
+
+
+class BusStatistics:
+    """Frames that went over the bus in both directions, and the time that they would take on the wire."""
+
+    def __init__(self) -> None:
+        self.frames = 0
+        self.bits = 0
+
+    def add(self, length_bytes: int) -> None:
+        """Count a frame of so many data bytes, worst-case stuffing included (ISO 11898-1: 34 stuffable bits + data)."""
+        stuffable = 34 + 8 * length_bytes
+        self.frames += 1
+        self.bits += stuffable + 13 + (stuffable - 1) // 4
+
+    def load_fraction(self, duration_s: float, bit_rate: float = 1e6) -> float:
+        """Share of the bus taken over a time."""
+        return self.bits / (bit_rate * duration_s) if duration_s > 0.0 else 0.0
+
+
+class Link:
+    """A session with the robot of one node.
+
+    Parameters
+    ----------
+    bus
+        Any python-can bus; the link does not close it.
+    codec
+        The wire and the node.
+    timeout_s
+        How long, by the wall clock, the firmware may be silent.
+    record
+        Called with every frame sent and received: simulated time in s, identifier, payload.
+    """
+
+    def __init__(
+        self,
+        bus: can.BusABC,
+        codec: Codec,
+        timeout_s: float = 2.0,
+        record: Callable[[FrameRecord], None] | None = None,
+    ) -> None:
+        self.bus = bus
+        self.codec = codec
+        self.timeout_s = timeout_s
+        self.time_s = 0.0
+        self.statistics = BusStatistics()
+        self.status: dict[str, float] = {}
+        self._record = record
+        self._counter = 0
+        self._pose, self._wheels, self._sync = codec["POSE"], codec["WHEEL_SPEED"], codec["SYNC"]
+        self._torque, self._slip = codec["TORQUE"], codec["SLIP"]
+
+    # ---- frames
+
+    def send(self, name: str, *values: float) -> None:
+        """Send a message of the wire, its fields in their order."""
+        message = self.codec[name]
+        self._send(message.arbitration_id, message.pack(*values))
+
+    def _send(self, arbitration_id: int, data: bytes) -> None:
+        message = can.Message(arbitration_id=arbitration_id, is_extended_id=False, data=data, check=False)
+        try:
+            self.bus.send(message, timeout=self.timeout_s)
+        except can.CanError as error:
+            raise OmnibotError(f"cannot send on {self.bus.channel_info}: {error}") from error
+        self._note(arbitration_id, data)
+
+    def _receive(self, wait_s: float) -> tuple[int, bytes] | None:
+        try:
+            message = self.bus.recv(wait_s)
+        except can.CanError as error:
+            raise OmnibotError(f"cannot receive from {self.bus.channel_info}: {error}") from error
+        if message is None:
+            return None
+        data = bytes(message.data)
+        self._note(message.arbitration_id, data)
+        return message.arbitration_id, data
+
+    def _note(self, arbitration_id: int, data: bytes) -> None:
+        self.statistics.add(len(data))
+        if self._record is not None:
+            self._record((self.time_s, arbitration_id, data))
+
+    def _note_status(self, arbitration_id: int, data: bytes) -> None:
+        """Keep the newest STATUS, whatever we wait for."""
+        if arbitration_id == self.codec["STATUS"].arbitration_id:
+            # A peer of another protocol may send anything by this name; hello tells the user about it.
+            with contextlib.suppress(WireError):
+                self.status = self.codec["STATUS"].named(data)
+
+    def _silent(self, waiting_for: str) -> SilentError:
+        return SilentError(
+            f"no {waiting_for} from node {self.codec.node} on {self.bus.channel_info} within {self.timeout_s:g} s: "
+            f"is the firmware running there? (omnibot-sil --can INTERFACE --node {self.codec.node})"
+        )
+
+    def _wait_for(self, name: str, timeout_s: float | None = None) -> dict[str, float]:
+        """Return the next message of a name."""
+        wanted = self.codec[name]
+        deadline = time.monotonic() + (self.timeout_s if timeout_s is None else timeout_s)
+        while (left := deadline - time.monotonic()) > 0.0:
+            received = self._receive(min(left, REPEAT_S))
+            if received is None:
+                continue
+            self._note_status(*received)
+            if received[0] == wanted.arbitration_id:
+                return wanted.named(received[1])
+        raise self._silent(name)
+
+    def _next_counter(self) -> int:
+        self._counter = (self._counter + 1) & 0xF
+        return self._counter
+
+    # ---- before and after the drive
+
+    def hello(self) -> Identity:
+        """Make sure that a firmware is there that speaks our protocol, and put it into IDLE without faults."""
+        self._drain()
+        identity = self._identity()
+        theirs = int(identity["protocol_hash"])
+        if theirs != self.codec.protocol_hash:
+            raise OmnibotError(
+                f"node {self.codec.node} speaks protocol {theirs:08X}, this host {self.codec.protocol_hash:08X}: "
+                "rebuild the firmware from this protocol/omnibot.dbc (cmake --build --preset host) and start it again"
+            )
+        self.command("STOP")
+        self.command("CLEAR")
+        major, minor, patch = (int(identity[part]) for part in ("major", "minor", "patch"))
+        return Identity(theirs, f"{major}.{minor}.{patch}")
+
+    def _identity(self) -> dict[str, float]:
+        """Ask who is there until somebody answers: a firmware that was just started may not listen yet."""
+        deadline = time.monotonic() + self.timeout_s
+        while time.monotonic() < deadline:
+            self.send("HELLO", self.codec.protocol_hash)
+            with contextlib.suppress(SilentError):
+                return self._wait_for("IDENTITY", min(REPEAT_S, self.timeout_s))
+        raise self._silent("IDENTITY")
+
+    def _drain(self) -> None:
+        """Read what came before we ask, so that it is not taken for the answer."""
+        while (received := self._receive(0.0)) is not None:
+            self._note_status(*received)
+
+    def command(self, operation: str) -> None:
+        """Ask for a change of mode; RefusedError says why not."""
+        message = self.codec["COMMAND"]
+        self._drain()
+        self.send("COMMAND", message.choices["operation"][operation], self._next_counter())
+        # A STATUS that was under way before the command may come before the one that answers it.
+        wanted = {"START": "TRACKING", "STOP": None, "CLEAR": "IDLE"}[operation]
+        status = self.codec["STATUS"]
+        while True:
+            answer = self._wait_for("STATUS")
+            refusal = status.label("refusal", answer["refusal"])
+            mode = status.label("mode", answer["mode"])
+            if refusal != "NONE":
+                raise RefusedError(f"the firmware refused {operation}: {refusal} (mode {mode})")
+            if wanted is None or mode == wanted:
+                return
+
+    def set_parameter(self, parameter: Parameter, value: float) -> None:
+        """Set a firmware parameter and check that it was taken."""
+        self.send("PARAMETER_SET", parameter.index, parameter.check(value), self._next_counter())
+        answer = self._wait_for("PARAMETER_VALUE")
+        result = self.codec["PARAMETER_VALUE"].label("result", answer["result"])
+        if result != "OK" or answer["index"] != parameter.index:
+            raise RefusedError(f"the firmware refused {parameter.name} = {value:g}: {result}")
+
+    def upload(self, trajectory: bytes) -> None:
+        """Send a trajectory and wait until the firmware has checked it."""
+        self.send("TRAJECTORY_BEGIN", len(trajectory), zlib.crc32(trajectory))
+        self._expect_ack("RECEIVING")
+        step = TRAJECTORY_FRAME_BYTES
+        for frame, offset in enumerate(range(0, len(trajectory), step), start=1):
+            self.send("TRAJECTORY_DATA", offset, *trajectory[offset : offset + step].ljust(step, b"\0"))
+            if offset + step >= len(trajectory):
+                self._expect_ack("COMPLETE")
+            elif frame % TRAJECTORY_ACK_FRAMES == 0:
+                self._expect_ack("RECEIVING")
+
+    def _expect_ack(self, wanted: str) -> None:
+        answer = self._wait_for("TRAJECTORY_ACK")
+        result = self.codec["TRAJECTORY_ACK"].label("result", answer["result"])
+        if result != wanted:
+            raise RefusedError(f"the firmware refused the trajectory at byte {answer['offset_bytes']:g}: {result}")
+
+    def fault(self) -> str:
+        """Return the name of the fault in the newest STATUS."""
+        return self.codec["STATUS"].label("fault", self.status.get("fault", 0))
+
+    # ---- the drive
+
+    def tick(self, tick: int, pose: tuple[float, ...], wheel_speed: tuple[float, ...]) -> Answer:
+        """Send the sensors and SYNC of a tick and return the answer; asks again while there is none.
+
+        Parameters
+        ----------
+        tick
+            Control tick, 0 … 2^32 - 1.
+        pose
+            x1, x2 in m and heading in rad, -pi … pi.
+        wheel_speed
+            Three wheel speeds, rad/s.
+        """
+        counter = tick & 0xF
+        self._send(self._pose.arbitration_id, self._pose.pack(*pose, counter))
+        self._send(self._wheels.arbitration_id, self._wheels.pack(*wheel_speed, counter))
+        sync = self._sync.pack(tick, counter)
+        deadline = time.monotonic() + self.timeout_s
+        while time.monotonic() < deadline:
+            self._send(self._sync.arbitration_id, sync)
+            answer = self._answer(counter)
+            if answer is not None:
+                return answer
+        raise self._silent(f"TORQUE for tick {tick}")
+
+    def _answer(self, counter: int) -> Answer | None:
+        """Collect TORQUE and SLIP of a tick; None if they do not come. Answers to earlier ticks are passed over."""
+        torque: tuple[float, ...] | None = None
+        slip: tuple[float, ...] | None = None
+        while torque is None or slip is None:
+            received = self._receive(REPEAT_S)
+            if received is None:
+                return None
+            arbitration_id, data = received
+            try:
+                if arbitration_id == self._torque.arbitration_id:
+                    values = self._torque.unpack(data)
+                    torque = values if values[3] == counter else torque
+                elif arbitration_id == self._slip.arbitration_id:
+                    values = self._slip.unpack(data)
+                    slip = values if values[3] == counter else slip
+                else:
+                    self._note_status(arbitration_id, data)
+            except WireError:
+                continue  # damaged on the way: the tick is asked again
+        mode = self._torque.label("mode", torque[4])
+        return Answer((torque[0], torque[1], torque[2]), (slip[0], slip[1], slip[2]), mode)
+
+
+def open_bus(name: str, node: int, interface: str | None, channel: str | None, bitrate: int | None) -> can.BusABC:
+    """Open the bus that the command line names.
+
+    Parameters
+    ----------
+    name
+        ``inproc``, or the name of a SocketCAN interface such as ``vcan0``.
+    interface, channel, bitrate
+        python-can's own; given, they are used instead of ``name``.
+    """
+    if interface is not None:
+        options: dict[str, str | int] = {"interface": interface}
+        options |= {"channel": channel} if channel is not None else {}
+        options |= {"bitrate": bitrate} if bitrate is not None else {}
+    elif name == "inproc":
+        options = {"interface": "omnibot", "channel": "inproc", "node": node}
+    elif Path("/sys/class/net", name).exists():
+        options = {"interface": "socketcan", "channel": name}
+    else:
+        raise OmnibotError(
+            f"no bus {name!r}: 'inproc', or a SocketCAN interface that is up; tools/with-vcan -- COMMAND makes a vcan0"
+        )
+    try:
+        return can.Bus(**options)  # type: ignore[arg-type]
+    except (can.CanError, OSError, ValueError) as error:
+        raise OmnibotError(f"cannot open the bus {options}: {error}") from error
