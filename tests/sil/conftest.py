@@ -1,0 +1,40 @@
+"""The firmware as a process on vcan0. tools/with-vcan -- pytest tests/sil."""
+
+import subprocess
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from host_sim.robot import ROOT
+
+SIL = ROOT / "build" / "host" / "omnibot-sil"
+Start = Callable[..., "subprocess.Popen[bytes]"]
+
+
+@pytest.fixture(autouse=True, scope="session")
+def vcan0() -> None:
+    if not Path("/sys/class/net/vcan0").exists():
+        pytest.fail("there is no vcan0: run these tests as tools/with-vcan -- pytest tests/sil", pytrace=False)
+    if not SIL.exists():
+        pytest.fail("there is no omnibot-sil: tools/build host makes it", pytrace=False)
+
+
+@pytest.fixture
+def start_firmware() -> Iterator[Start]:
+    """Start omnibot-sil and wait until it listens; what is left at the end of the test is killed."""
+    started: list[subprocess.Popen[bytes]] = []
+
+    def start(node: int = 0) -> "subprocess.Popen[bytes]":
+        process = subprocess.Popen([SIL, "--can", "vcan0", "--node", str(node)], stderr=subprocess.PIPE)
+        started.append(process)
+        assert process.stderr is not None
+        assert b"on vcan0" in process.stderr.readline()
+        return process
+
+    yield start
+    for process in started:
+        process.kill()
+        process.wait()
+        assert process.stderr is not None
+        process.stderr.close()

@@ -1,0 +1,193 @@
+"""The firmware as a process on a real vcan: the run is the in-process one at any speed; and what happens on failure."""
+
+import json
+import os
+import signal
+import subprocess
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import can
+import pytest
+from typer.testing import CliRunner
+
+from host_sim.cli import app
+from host_sim.errors import OmnibotError
+from host_sim.robot import ROOT
+from host_sim.trace import Trace, compare
+
+Start = Callable[..., "subprocess.Popen[bytes]"]
+SIL = ROOT / "build" / "host" / "omnibot-sil"
+
+# Half a second around the corner, started in motion: every stage of the law works, and it is short.
+CORNER = ["--speed", "0.5", "--start-before-corner", "0.3", "--duration", "1.2"]
+
+
+def omnibot_run(out: Path, *options: str) -> tuple[int, str]:
+    """Run ``omnibot run`` on the corner; returns exit code and the error's text."""
+    result = CliRunner().invoke(app, ["run", *CORNER, "--out", str(out), *options])
+    if result.exception is not None and not isinstance(result.exception, (OmnibotError, SystemExit)):
+        raise result.exception
+    return result.exit_code, str(result.exception or "")
+
+
+def status(out: Path) -> dict[str, object]:
+    """Read a run's result."""
+    loaded: dict[str, object] = json.loads((out / "result.json").read_text())
+    return loaded
+
+
+@pytest.fixture(scope="module")
+def inproc(tmp_path_factory: pytest.TempPathFactory) -> Trace:
+    out = tmp_path_factory.mktemp("inproc")
+    assert omnibot_run(out) == (0, "")
+    return Trace.load(out)
+
+
+# ---- the same run
+
+
+def test_sil_at_full_speed_gives_the_trace_of_the_inproc_run(
+    tmp_path: Path, start_firmware: Start, inproc: Trace
+) -> None:
+    start_firmware()
+    assert omnibot_run(tmp_path, "--bus", "vcan0") == (0, "")
+    assert compare(Trace.load(tmp_path), inproc) == []
+
+
+def test_sil_ten_times_slower_gives_the_same_trace(tmp_path: Path, start_firmware: Start, inproc: Trace) -> None:
+    start_firmware()
+    begin = time.monotonic()
+    assert omnibot_run(tmp_path, "--bus", "vcan0", "--pace", "0.1") == (0, "")
+    assert time.monotonic() - begin >= 12.0
+    assert compare(Trace.load(tmp_path), inproc) == []
+
+
+def test_sil_stopped_and_continued_gives_the_same_trace(tmp_path: Path, start_firmware: Start, inproc: Trace) -> None:
+    firmware = start_firmware()
+    answered = count_frames(80)
+
+    def stop_and_continue() -> None:
+        assert answered(300), "the run never came to its middle"
+        os.kill(firmware.pid, signal.SIGSTOP)
+        time.sleep(0.7)
+        os.kill(firmware.pid, signal.SIGCONT)
+
+    thread = threading.Thread(target=stop_and_continue)
+    thread.start()
+    code, error = omnibot_run(tmp_path, "--bus", "vcan0")
+    thread.join()
+    assert (code, error) == (0, "")
+    assert compare(Trace.load(tmp_path), inproc) == []
+    timing = status(tmp_path)["timing"]
+    assert isinstance(timing, dict)
+    assert timing["step_time_us"]["max"] > 0.5e6, "the firmware was not stopped while it was asked"
+
+
+def test_second_run_on_the_same_firmware_gives_the_same_trace(
+    tmp_path: Path, start_firmware: Start, inproc: Trace
+) -> None:
+    start_firmware()
+    assert omnibot_run(tmp_path / "first", "--bus", "vcan0") == (0, "")
+    assert omnibot_run(tmp_path / "second", "--bus", "vcan0") == (0, "")
+    assert compare(Trace.load(tmp_path / "second"), inproc) == []
+
+
+def test_two_nodes_on_one_bus_do_not_disturb_each_other(tmp_path: Path, start_firmware: Start, inproc: Trace) -> None:
+    start_firmware(node=0)
+    start_firmware(node=3)
+    command = [ROOT / ".venv" / "bin" / "omnibot", "run", *CORNER, "--bus", "vcan0", "--node", "3"]
+    other = subprocess.Popen([*command, "--out", tmp_path / "3"], stdout=subprocess.DEVNULL)
+    assert omnibot_run(tmp_path / "0", "--bus", "vcan0") == (0, "")
+    assert other.wait(timeout=60) == 0
+    assert compare(Trace.load(tmp_path / "0"), inproc) == []
+    assert compare(Trace.load(tmp_path / "3"), inproc) == []
+
+
+def test_python_can_reads_the_bus_log(tmp_path: Path, start_firmware: Start) -> None:
+    start_firmware()
+    assert omnibot_run(tmp_path, "--bus", "vcan0") == (0, "")
+    with can.LogReader(tmp_path / "bus.log") as log:
+        ids = [message.arbitration_id for message in log]
+    assert ids.count(64) == ids.count(80) == ids.count(96) == 1201
+
+
+# ---- failures
+
+
+def count_frames(arbitration_id: int) -> Callable[[int], bool]:
+    """Return a function that waits until so many frames of an identifier went over vcan0."""
+    bus = can.Bus(interface="socketcan", channel="vcan0", can_filters=[{"can_id": arbitration_id, "can_mask": 0x7FF}])
+
+    def wait(frames: int) -> bool:
+        with bus:
+            return all(bus.recv(10.0) is not None for _ in range(frames))
+
+    return wait
+
+
+def test_firmware_missing_ends_with_the_cure(tmp_path: Path) -> None:
+    code, error = omnibot_run(tmp_path, "--bus", "vcan0", "--timeout", "0.5")
+    assert code == 1
+    assert "node 0" in error
+    assert "omnibot-sil --can" in error
+
+
+@pytest.mark.parametrize("deadly", [signal.SIGKILL, signal.SIGSTOP], ids=["killed", "silent"])
+def test_firmware_lost_in_the_run_keeps_what_was_recorded(
+    tmp_path: Path, start_firmware: Start, deadly: signal.Signals
+) -> None:
+    firmware = start_firmware()
+    answered = count_frames(80)
+
+    def lose() -> None:
+        assert answered(300)
+        os.kill(firmware.pid, deadly)
+
+    thread = threading.Thread(target=lose)
+    thread.start()
+    code, error = omnibot_run(tmp_path, "--bus", "vcan0", "--timeout", "0.5")
+    thread.join()
+    assert code == 1
+    assert "no TORQUE for tick" in error
+    assert status(tmp_path)["status"] == "timeout"
+    assert 300 <= len(Trace.load(tmp_path)) < 1201
+    assert (tmp_path / "report.html").exists()
+
+
+def test_other_wire_definition_is_refused_by_name(tmp_path: Path, start_firmware: Start) -> None:
+    start_firmware()
+    other = tmp_path / "other.dbc"
+    other.write_text((ROOT / "protocol" / "omnibot.dbc").read_text() + '\nCM_ "another";\n')
+    code, error = omnibot_run(tmp_path / "run", "--bus", "vcan0", "--dbc", str(other))
+    assert code == 1
+    assert "speaks protocol" in error
+    assert "rebuild" in error
+
+
+# ---- omnibot-sil's own command line
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        ([], b"usage"),
+        (["--can", "vcan0", "--node", "16"], b"from 0 to 15"),
+        (["--can", "vcan0", "--node", "x"], b"from 0 to 15"),
+        (["--can", "vcan7"], b"cannot open vcan7"),
+        (["--can", "vcan0", "more"], b"usage"),
+    ],
+)
+def test_omnibot_sil_refuses_bad_arguments(arguments: list[str], says: bytes) -> None:
+    result = subprocess.run([SIL, *arguments], capture_output=True, timeout=10, check=False)
+    assert result.returncode != 0
+    assert says in result.stderr
+
+
+@pytest.mark.parametrize("polite", [signal.SIGINT, signal.SIGTERM])
+def test_omnibot_sil_ends_on_a_signal(start_firmware: Start, polite: signal.Signals) -> None:
+    firmware = start_firmware()
+    firmware.send_signal(polite)
+    assert firmware.wait(timeout=5) == 0
