@@ -32,19 +32,20 @@ Complex = NDArray[np.complex128]
 Counts = NDArray[np.int64]
 
 # The error of order 5 that a step may show in σ, relative to |σ| + ε (V + δ) · 1 N. That of order 9 is much smaller:
-# σ is right to 1e-6 on that scale. Near or past the peak of the curve, where wheels break away or are caught, errors
+# σ is right to 2e-6 on that scale. Near or past the peak of the curve, where wheels break away or are caught, errors
 # grow instead of fading.
 _TOLERANCE = 2e-5
 _TOLERANCE_NEAR_PEAK = 1e-7
-_NEAR_PEAK = 1e-8
 _NEAR_PEAK = 0.5  # of the slip ratio at the peak
 _RELAXED = 3.4  # logarithm of the largest factor on _TOLERANCE for errors that are forgotten before the period ends
 _NEWTON_TOLERANCE = 1e-8  # relative as above
 _NEWTON_LIMIT = 12  # iterations
-_ATTEMPT_LIMIT = 2000  # steps, the rejected ones too; catching a wheel at ε = 4e-11 takes about 300
+_ATTEMPT_LIMIT = 2000  # steps, the rejected ones too; catching a wheel at ε = 4e-11 takes about 600
 _SHORTEST = 1e-22  # step, of a period; at rest the boundary layer of ε = 4e-11 lasts 5e-13 of one
-_LAYER_M = 1e-9
-_LAYER_RATE = 300.0  # least number of layer time constants in a period for a layer to be skipped
+# A skipped layer moves contact points by no more than this against the floor, of which the body turns by a tenth, in
+# rad, and wheel angles take the whole, over r; the moves of successive layers do not add up, their σ being one curve.
+_LAYER_M = 1e-8
+_LAYER_RATE = 100.0  # time constants that a period must have at least for a layer in it to be skipped
 
 _STAGES = 5
 _PAIRS = 3  # one real eigenvalue, two pairs
@@ -128,7 +129,7 @@ _POSE, _SLOW, _SLIP, _ANGLE = range(4)
 # Constants: matrices first.
 _G, _K, _JR, _PUSH, _DRIVE = 0, 3, 6, 9, 12
 _COUPLING = 15  # Mo / Mv
-_TORQUE = 16  # 0: r/Iw
+_TORQUE = 16  # r/Iw, slip ratio at the peak times the largest V̇ (0: no peak)
 _SPEED = 17  # ℓ², δ, ε/G0
 _CURVE = 18  # slip ratio at the peak, friction limit in N, largest slope in N
 _CONSTANT_ROWS = 20  # 19: 1/r
@@ -229,17 +230,17 @@ def _jacobian(c: Array, law: Array, v: Array, s: Array, out: Array) -> None:
 
 @compiled
 def _certain_to_stick(c: Array, w: Array, y: Array) -> bool:
-    """Whether, V being constant, every wheel ends on the rising branch of the curve, and fast.
+    """Whether every wheel ends on the rising branch of the curve.
 
     No wheel is past the peak, and none can get there: at the peak its own friction exceeds all else that acts on its
-    slip, whatever the other wheels do. Within these bounds σ̇ = G (λ(σ) − λ*) falls towards its only rest.
+    slip ratio, whatever the other wheels and V do. Within these bounds σ̇ = G (λ(σ) − λ*) falls towards its only rest.
     """
     n0, n1, turn, speed = _twist(c, y[_SLOW], y[_SLIP])
     scale = 1.0 / (speed + c[_SPEED, 1])
     for i in range(3):
         load = w[_SLIP_DRIVE, i] + c[_PUSH + i, 0] * turn * n1 - c[_PUSH + i, 1] * turn * n0
         others = abs(c[_G + i, 0]) + abs(c[_G + i, 1]) + abs(c[_G + i, 2]) - c[_G + i, i]
-        if not abs(load) + others * c[_CURVE, 1] < c[_G + i, i] * c[_CURVE, 1]:
+        if not abs(load) + others * c[_CURVE, 1] + c[_TORQUE, 1] < c[_G + i, i] * c[_CURVE, 1]:
             return False
         if not abs(y[_SLIP, i]) * scale <= c[_CURVE, 0]:
             return False
@@ -773,4 +774,7 @@ def _constants(robot: Robot, traction: Traction, speed_length_m: float, delta_m_
     stiffness = traction.stiffness_N
     c[_SPEED, 2] = 1.0 / stiffness
     c[_CURVE] = traction.peak_slip, traction.friction_limit_N, stiffness
+    if math.isfinite(traction.peak_slip):
+        push = jr / mo * [1.0, 1.0, speed_length_m]
+        c[_TORQUE, 1] = traction.peak_slip * traction.friction_limit_N * float(np.sum(np.linalg.norm(push, axis=1)))
     return c
