@@ -26,7 +26,7 @@ typedef struct {
 } control_params_t;
 
 typedef struct {
-    vec3_t pose;                  // x1, x2 (m), θ (rad)
+    vec3_t pose;                  // x1, x2 (m), θ (rad, |θ| ≤ 100)
     vec3_t wheel_speed_rad_per_s; // φ̇
     reference_t reference;        // yref and its derivatives
 } control_input_t;

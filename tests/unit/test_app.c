@@ -1,0 +1,1370 @@
+// SPDX-License-Identifier: MIT
+// The robot as the bus sees it: frames in, frames out. Frames are made and read by the generated codec, which
+// test_messages.c holds against the definition; trajectory bytes and their CRC are made here.
+#include "app.h"
+
+#include "messages.h"
+#include "unity.h"
+
+#include <string.h>
+
+enum { NODE = 3, SEGMENTS = 3, UPLOAD_BYTES = 100 * SEGMENTS };
+
+static app_t app;
+static uint8_t upload[UPLOAD_BYTES];
+
+/// What came out since the last look.
+static struct {
+    frame_t frame[OUTBOX_FRAMES];
+    int count;
+    int torques, slips, statuses, acks, values, identities;
+    frame_t torque_frame, slip_frame;
+    torque_message_t torque;
+    slip_message_t slip;
+    status_message_t status;
+    trajectory_ack_message_t ack;
+    parameter_value_message_t value;
+    identity_message_t identity;
+} got;
+
+static void note(const frame_t *frame)
+{
+    TEST_ASSERT_EQUAL_UINT16(NODE, frame->id & FRAME_NODE_MASK);
+    switch (frame->id >> FRAME_NODE_BITS) {
+    case TORQUE_FUNCTION:
+        got.torques++;
+        got.torque_frame = *frame;
+        TEST_ASSERT_EQUAL(DECODE_OK, torque_decode(&got.torque, frame));
+        break;
+    case SLIP_FUNCTION:
+        got.slips++;
+        got.slip_frame = *frame;
+        TEST_ASSERT_EQUAL(DECODE_OK, slip_decode(&got.slip, frame));
+        break;
+    case STATUS_FUNCTION:
+        got.statuses++;
+        TEST_ASSERT_EQUAL(DECODE_OK, status_decode(&got.status, frame));
+        break;
+    case TRAJECTORY_ACK_FUNCTION:
+        got.acks++;
+        TEST_ASSERT_EQUAL(DECODE_OK, trajectory_ack_decode(&got.ack, frame));
+        break;
+    case PARAMETER_VALUE_FUNCTION:
+        got.values++;
+        TEST_ASSERT_EQUAL(DECODE_OK, parameter_value_decode(&got.value, frame));
+        break;
+    case IDENTITY_FUNCTION:
+        got.identities++;
+        TEST_ASSERT_EQUAL(DECODE_OK, identity_decode(&got.identity, frame));
+        break;
+    default:
+        TEST_FAIL_MESSAGE("a frame that the robot does not send");
+    }
+}
+
+/// Takes everything out of the outbox.
+static void look(void)
+{
+    memset(&got, 0, sizeof got);
+    frame_t frame;
+    while (app_transmit(&app, &frame)) {
+        TEST_ASSERT_LESS_THAN(OUTBOX_FRAMES, got.count);
+        got.frame[got.count++] = frame;
+        note(&frame);
+    }
+}
+
+// ---- what the host sends
+
+static void hello(uint32_t hash)
+{
+    frame_t frame;
+    hello_encode(&frame, NODE, &(hello_message_t){hash});
+    app_receive(&app, &frame);
+    look();
+}
+
+static void command(uint8_t operation)
+{
+    frame_t frame;
+    command_encode(&frame, NODE, &(command_message_t){.operation = operation});
+    app_receive(&app, &frame);
+    look();
+}
+
+static void pose(float x1, float x2, float heading)
+{
+    frame_t frame;
+    pose_encode(&frame, NODE, &(pose_message_t){x1, x2, heading, 0});
+    app_receive(&app, &frame);
+}
+
+static void wheel_speed(float wheel1, float wheel2, float wheel3)
+{
+    frame_t frame;
+    wheel_speed_encode(&frame, NODE, &(wheel_speed_message_t){wheel1, wheel2, wheel3, 0});
+    app_receive(&app, &frame);
+}
+
+static void sync_only(uint32_t tick)
+{
+    frame_t frame;
+    sync_encode(&frame, NODE, &(sync_message_t){tick, (uint8_t)(tick & 0xFu)});
+    app_receive(&app, &frame);
+}
+
+static void sync(uint32_t tick)
+{
+    sync_only(tick);
+    look();
+}
+
+/// A whole tick: the robot 1 cm behind the trajectory's start.
+static void tick(uint32_t number)
+{
+    pose(-0.01f, 0.0f, 0.0f);
+    wheel_speed(0.0f, 0.0f, 0.0f);
+    sync(number);
+}
+
+static void set_parameter(uint8_t index, float value)
+{
+    frame_t frame;
+    parameter_set_encode(&frame, NODE, &(parameter_set_message_t){.index = index, .value = value});
+    app_receive(&app, &frame);
+    look();
+}
+
+static void get_parameter(uint8_t index)
+{
+    frame_t frame;
+    parameter_get_encode(&frame, NODE, &(parameter_get_message_t){index});
+    app_receive(&app, &frame);
+    look();
+}
+
+// ---- a trajectory: the point ahead of the origin moves along x at 0.5 m/s for 10, 20 and 30 ms
+
+static void write_word(uint8_t *byte, uint32_t word)
+{
+    for (int i = 0; i < 4; i++) {
+        byte[i] = (uint8_t)(word >> 8 * i);
+    }
+}
+
+static void write_float(uint8_t *byte, float value)
+{
+    uint32_t word;
+    memcpy(&word, &value, sizeof word);
+    write_word(byte, word);
+}
+
+static uint32_t crc32_bitwise(const uint8_t *byte, uint32_t count)
+{
+    uint32_t crc = 0xFFFFFFFFu;
+    for (uint32_t i = 0; i < count; i++) {
+        crc ^= byte[i];
+        for (int bit = 0; bit < 8; bit++) {
+            crc = (crc & 1u) != 0 ? (crc >> 1) ^ 0xEDB88320u : crc >> 1;
+        }
+    }
+    return crc ^ 0xFFFFFFFFu;
+}
+
+static const float start_m[SEGMENTS] = {0.0f, 0.005f, 0.015f};
+
+static void make_upload(void)
+{
+    memset(upload, 0, sizeof upload);
+    for (uint32_t i = 0; i < SEGMENTS; i++) {
+        const uint32_t duration_us = 10000u * (i + 1);
+        write_word(&upload[100 * i], duration_us);
+        write_float(&upload[100 * i + 4], start_m[i]);
+        write_float(&upload[100 * i + 8], 0.5e-6f * (float)duration_us);
+        write_float(&upload[100 * i + 36], 0.12f);
+    }
+}
+
+static void begin_upload(uint32_t crc32)
+{
+    frame_t frame;
+    trajectory_begin_encode(&frame, NODE, &(trajectory_begin_message_t){UPLOAD_BYTES, crc32});
+    app_receive(&app, &frame);
+    look();
+}
+
+static void send_data(uint16_t offset)
+{
+    const uint8_t *b = &upload[offset];
+    frame_t frame;
+    trajectory_data_encode(&frame, NODE, &(trajectory_data_message_t){offset, b[0], b[1], b[2], b[3], b[4], b[5]});
+    app_receive(&app, &frame);
+    look();
+}
+
+static void upload_trajectory(void)
+{
+    make_upload();
+    begin_upload(crc32_bitwise(upload, UPLOAD_BYTES));
+    TEST_ASSERT_EQUAL(1, got.acks);
+    TEST_ASSERT_EQUAL_UINT8(TRAJECTORY_ACK_RESULT_RECEIVING, got.ack.result);
+    for (uint16_t offset = 0; offset < UPLOAD_BYTES; offset += 6) {
+        send_data(offset);
+    }
+    TEST_ASSERT_EQUAL(1, got.acks);
+    TEST_ASSERT_EQUAL_UINT8(TRAJECTORY_ACK_RESULT_COMPLETE, got.ack.result);
+    TEST_ASSERT_EQUAL_UINT16(UPLOAD_BYTES, got.ack.offset_bytes);
+}
+
+/// Ready to drive, in IDLE.
+static void make_ready(void)
+{
+    hello(PROTOCOL_HASH);
+    upload_trajectory();
+}
+
+static void make_tracking(void)
+{
+    make_ready();
+    command(OPERATION_START);
+    TEST_ASSERT_EQUAL_UINT8(MODE_TRACKING, got.status.mode);
+}
+
+/// Tracking, with tick 1000 answered at trajectory time 0.
+static void make_moving(void)
+{
+    make_tracking();
+    tick(1000);
+    TEST_ASSERT_EQUAL_UINT8(MODE_TRACKING, got.torque.mode);
+}
+
+static void make_faulty(void)
+{
+    make_tracking();
+    sync(1000); // no sensors yet
+    TEST_ASSERT_EQUAL_UINT8(MODE_FAULT, got.torque.mode);
+}
+
+static void assert_no_torque(void)
+{
+    TEST_ASSERT_EQUAL(1, got.torques);
+    TEST_ASSERT_FLOAT_WITHIN(0.0f, 0.0f, got.torque.wheel1_Nm);
+    TEST_ASSERT_FLOAT_WITHIN(0.0f, 0.0f, got.torque.wheel2_Nm);
+    TEST_ASSERT_FLOAT_WITHIN(0.0f, 0.0f, got.torque.wheel3_Nm);
+}
+
+static void assert_pushes_ahead(void)
+{
+    TEST_ASSERT_EQUAL(1, got.torques);
+    TEST_ASSERT_LESS_THAN_FLOAT(-0.001f, got.torque.wheel1_Nm);
+    TEST_ASSERT_GREATER_THAN_FLOAT(0.001f, got.torque.wheel3_Nm);
+}
+
+/// In FAULT by a cause, without torque, and said so.
+static void assert_fault(uint8_t cause)
+{
+    assert_no_torque();
+    TEST_ASSERT_EQUAL_UINT8(MODE_FAULT, got.torque.mode);
+    TEST_ASSERT_EQUAL(1, got.statuses);
+    TEST_ASSERT_EQUAL_UINT8(MODE_FAULT, got.status.mode);
+    TEST_ASSERT_EQUAL_UINT8(cause, got.status.fault);
+    TEST_ASSERT_EQUAL_UINT16(1u << cause, got.status.fault_mask);
+}
+
+static void assert_still_tracking(void)
+{
+    assert_pushes_ahead();
+    TEST_ASSERT_EQUAL_UINT8(MODE_TRACKING, got.torque.mode);
+}
+
+static void assert_cursor(uint16_t segment, uint32_t time_us)
+{
+    TEST_ASSERT_EQUAL_UINT16(segment, app.cursor.segment);
+    TEST_ASSERT_EQUAL_UINT32(time_us, app.cursor.time_us);
+}
+
+void setUp(void)
+{
+    app_init(&app, &omnibot, NODE);
+    look();
+}
+
+void tearDown(void)
+{
+}
+
+// ---- start-up
+
+static void test_init_is_idle_and_says_so(void)
+{
+    app_init(&app, &omnibot, NODE);
+    look();
+
+    TEST_ASSERT_EQUAL(1, got.count);
+    TEST_ASSERT_EQUAL(1, got.statuses);
+    TEST_ASSERT_EQUAL_UINT8(MODE_IDLE, got.status.mode);
+    TEST_ASSERT_EQUAL_UINT8(FAULT_NONE, got.status.fault);
+    TEST_ASSERT_EQUAL_UINT16(0, got.status.fault_mask);
+    TEST_ASSERT_EQUAL_UINT16(0, got.status.dropped_frames);
+}
+
+static void test_init_over_an_old_instance_forgets_everything(void)
+{
+    make_faulty();
+
+    app_init(&app, &omnibot, NODE);
+    look();
+    command(OPERATION_START);
+
+    TEST_ASSERT_EQUAL_UINT8(MODE_IDLE, got.status.mode);
+    TEST_ASSERT_EQUAL_UINT8(FAULT_NONE, got.status.fault);
+    TEST_ASSERT_EQUAL_UINT8(REFUSAL_UNKNOWN_PEER, got.status.refusal);
+}
+
+// ---- HELLO
+
+static void test_hello_with_our_hash_is_answered_by_a_matching_identity(void)
+{
+    hello(PROTOCOL_HASH);
+
+    TEST_ASSERT_EQUAL(1, got.count);
+    TEST_ASSERT_EQUAL(1, got.identities);
+    TEST_ASSERT_EQUAL_HEX32(PROTOCOL_HASH, got.identity.protocol_hash);
+    TEST_ASSERT_EQUAL_UINT8(1, got.identity.peer_matches);
+    TEST_ASSERT_EQUAL_UINT8(APP_VERSION_MAJOR, got.identity.major);
+    TEST_ASSERT_EQUAL_UINT8(APP_VERSION_MINOR, got.identity.minor);
+    TEST_ASSERT_EQUAL_UINT8(APP_VERSION_PATCH, got.identity.patch);
+}
+
+static void test_hello_with_another_hash_is_answered_by_ours_and_no_match(void)
+{
+    hello(PROTOCOL_HASH ^ 1u);
+
+    TEST_ASSERT_EQUAL(1, got.identities);
+    TEST_ASSERT_EQUAL_HEX32(PROTOCOL_HASH, got.identity.protocol_hash);
+    TEST_ASSERT_EQUAL_UINT8(0, got.identity.peer_matches);
+}
+
+// ---- START
+
+static void assert_start_refused(uint8_t refusal, uint8_t mode)
+{
+    command(OPERATION_START);
+    TEST_ASSERT_EQUAL(1, got.count);
+    TEST_ASSERT_EQUAL(1, got.statuses);
+    TEST_ASSERT_EQUAL_UINT8(refusal, got.status.refusal);
+    TEST_ASSERT_EQUAL_UINT8(mode, got.status.mode);
+}
+
+static void test_start_without_hello_is_refused_unknown_peer(void)
+{
+    upload_trajectory();
+    assert_start_refused(REFUSAL_UNKNOWN_PEER, MODE_IDLE);
+}
+
+static void test_start_after_a_wrong_hash_is_refused_unknown_peer(void)
+{
+    hello(PROTOCOL_HASH + 1u);
+    upload_trajectory();
+    assert_start_refused(REFUSAL_UNKNOWN_PEER, MODE_IDLE);
+}
+
+static void test_start_after_a_right_and_then_a_wrong_hash_is_refused_unknown_peer(void)
+{
+    make_ready();
+    hello(0u);
+    assert_start_refused(REFUSAL_UNKNOWN_PEER, MODE_IDLE);
+}
+
+static void test_start_without_a_trajectory_is_refused(void)
+{
+    hello(PROTOCOL_HASH);
+    assert_start_refused(REFUSAL_NO_TRAJECTORY, MODE_IDLE);
+}
+
+static void test_start_during_an_upload_is_refused_no_trajectory(void)
+{
+    make_ready();
+    begin_upload(0u);
+    assert_start_refused(REFUSAL_NO_TRAJECTORY, MODE_IDLE);
+}
+
+static void test_start_while_tracking_is_refused_wrong_mode(void)
+{
+    make_moving();
+    tick(1001);
+    assert_start_refused(REFUSAL_WRONG_MODE, MODE_TRACKING);
+    assert_cursor(0, 1000);
+}
+
+static void test_start_in_fault_is_refused_wrong_mode(void)
+{
+    make_faulty();
+    assert_start_refused(REFUSAL_WRONG_MODE, MODE_FAULT);
+}
+
+static void test_start_when_ready_tracks(void)
+{
+    make_ready();
+    command(OPERATION_START);
+
+    TEST_ASSERT_EQUAL_UINT8(MODE_TRACKING, got.status.mode);
+    TEST_ASSERT_EQUAL_UINT8(REFUSAL_NONE, got.status.refusal);
+}
+
+static void test_command_of_any_kind_is_answered_by_one_status_alone(void)
+{
+    static const uint8_t operation[] = {OPERATION_START, OPERATION_START, OPERATION_CLEAR, OPERATION_STOP,
+                                        OPERATION_STOP,  OPERATION_CLEAR, OPERATION_NONE};
+    make_ready();
+    for (size_t i = 0; i < sizeof operation / sizeof operation[0]; i++) {
+        command(operation[i]);
+
+        TEST_ASSERT_EQUAL(1, got.count);
+        TEST_ASSERT_EQUAL(1, got.statuses);
+    }
+    make_faulty();
+    command(OPERATION_CLEAR);
+    TEST_ASSERT_EQUAL(1, got.count);
+    TEST_ASSERT_EQUAL(1, got.statuses);
+}
+
+static void test_start_taken_after_a_refusal_no_longer_shows_it_in_any_status(void)
+{
+    hello(PROTOCOL_HASH);
+    command(OPERATION_START); // refused: no trajectory
+    upload_trajectory();
+
+    command(OPERATION_START);
+
+    TEST_ASSERT_GREATER_THAN(0, got.count);
+    for (int i = 0; i < got.count; i++) {
+        status_message_t status;
+        TEST_ASSERT_EQUAL(DECODE_OK, status_decode(&status, &got.frame[i]));
+        TEST_ASSERT_EQUAL_UINT8(REFUSAL_NONE, status.refusal);
+        TEST_ASSERT_EQUAL_UINT8(MODE_TRACKING, status.mode);
+    }
+}
+
+static void test_start_takes_any_tick_number_as_the_first(void)
+{
+    make_ready();
+    tick(5000);
+    command(OPERATION_START);
+
+    tick(7);
+    assert_still_tracking();
+    assert_cursor(0, 0);
+
+    tick(8);
+    assert_still_tracking();
+    assert_cursor(0, 1000);
+}
+
+static void test_start_between_two_syncs_of_one_tick_steps_it_anew(void)
+{
+    make_ready();
+    tick(50);
+    assert_no_torque();
+    command(OPERATION_START);
+
+    tick(50);
+
+    assert_still_tracking();
+}
+
+static void test_start_after_stop_begins_the_trajectory_again(void)
+{
+    make_moving();
+    tick(1001);
+    command(OPERATION_STOP);
+    command(OPERATION_START);
+
+    tick(1002);
+
+    assert_still_tracking();
+    assert_cursor(0, 0);
+}
+
+static void test_unknown_operations_are_refused(void)
+{
+    static const uint8_t unknown[] = {OPERATION_NONE, 4, 5, 100, 255};
+    make_moving();
+    for (size_t i = 0; i < sizeof unknown / sizeof unknown[0]; i++) {
+        command(unknown[i]);
+
+        TEST_ASSERT_EQUAL(1, got.statuses);
+        TEST_ASSERT_EQUAL_UINT8(REFUSAL_UNKNOWN_OPERATION, got.status.refusal);
+        TEST_ASSERT_EQUAL_UINT8(MODE_TRACKING, got.status.mode);
+    }
+}
+
+// ---- SYNC
+
+static void test_sync_in_every_mode_is_answered_by_one_torque_and_one_slip(void)
+{
+    for (int mode = MODE_IDLE; mode <= MODE_FAULT; mode++) {
+        setUp();
+        if (mode == MODE_TRACKING) {
+            make_moving();
+        } else if (mode == MODE_FAULT) {
+            make_faulty();
+        }
+        for (uint32_t k = 1001; k < 1050; k++) {
+            tick(k);
+
+            TEST_ASSERT_EQUAL(2, got.count);
+            TEST_ASSERT_EQUAL(1, got.torques);
+            TEST_ASSERT_EQUAL(1, got.slips);
+            TEST_ASSERT_EQUAL_UINT8(mode, got.torque.mode);
+            TEST_ASSERT_EQUAL_UINT8(k & 0xFu, got.torque.counter);
+            TEST_ASSERT_EQUAL_UINT8(k & 0xFu, got.slip.counter);
+        }
+    }
+}
+
+static void test_sync_in_idle_and_fault_gives_no_torque(void)
+{
+    make_ready();
+    tick(1);
+    assert_no_torque();
+    TEST_ASSERT_EQUAL_UINT8(MODE_IDLE, got.torque.mode);
+
+    setUp();
+    make_faulty();
+    tick(1001);
+    assert_no_torque();
+    TEST_ASSERT_EQUAL_UINT8(MODE_FAULT, got.torque.mode);
+}
+
+static void test_sync_in_idle_without_sensors_is_no_fault(void)
+{
+    for (uint32_t k = 1; k < 50; k++) {
+        sync(k);
+        TEST_ASSERT_EQUAL_UINT8(MODE_IDLE, got.torque.mode);
+    }
+}
+
+static void test_sync_while_tracking_gives_the_torque_of_the_control_step(void)
+{
+    make_tracking();
+    for (uint32_t k = 0; k < 65; k++) {
+        const float x = -0.01f + 0.0004f * (float)k, heading = 0.002f * (float)k;
+        pose(x, 0.003f, heading);
+        wheel_speed(-10.0f, 0.5f, 12.0f);
+        sync(2000 + k);
+
+        // The reference by hand: 0.5 m/s, at rest from 60 ms on. The wire's resolution is below the tolerance.
+        const bool at_end = k >= 60;
+        const control_input_t input = {
+            .pose = {x, 0.003f, heading},
+            .wheel_speed_rad_per_s = {-10.0f, 0.5f, 12.0f},
+            .reference = {.position = {at_end ? 0.03f : 0.0005f * (float)k, 0.12f, 0.0f},
+                          .velocity = {at_end ? 0.0f : 0.5f, 0.0f, 0.0f}},
+        };
+        control_output_t expected;
+        TEST_ASSERT_TRUE(control_step(&app.control, &input, &expected));
+        TEST_ASSERT_FLOAT_WITHIN(6e-5f, expected.torque_Nm.x, got.torque.wheel1_Nm);
+        TEST_ASSERT_FLOAT_WITHIN(6e-5f, expected.torque_Nm.y, got.torque.wheel2_Nm);
+        TEST_ASSERT_FLOAT_WITHIN(6e-5f, expected.torque_Nm.z, got.torque.wheel3_Nm);
+        TEST_ASSERT_FLOAT_WITHIN(2e-3f, expected.mu_mps.x, got.slip.mu1_m_per_s);
+        TEST_ASSERT_FLOAT_WITHIN(2e-3f, expected.mu_mps.y, got.slip.mu2_m_per_s);
+        TEST_ASSERT_FLOAT_WITHIN(2e-3f, expected.mu_mps.z, got.slip.mu3_m_per_s);
+    }
+}
+
+static void test_sync_steps_walk_over_the_joints_and_rest_at_the_end(void)
+{
+    make_moving();
+    for (uint32_t k = 1; k <= 70; k++) {
+        tick(1000 + k);
+
+        const uint32_t segment = k < 10 ? 0 : k < 30 ? 1 : 2;
+        const uint32_t since = k < 10 ? 0 : k < 30 ? 10 : 30;
+        const uint32_t time_us = k < 60 ? 1000 * (k - since) : 30000;
+        assert_cursor((uint16_t)segment, time_us);
+        TEST_ASSERT_EQUAL_UINT8(MODE_TRACKING, got.torque.mode);
+    }
+}
+
+static void test_sync_repeated_gets_the_same_bytes_and_no_second_step(void)
+{
+    make_moving();
+    tick(1001);
+    const frame_t torque = got.torque_frame, slip = got.slip_frame;
+    for (int i = 0; i < 5; i++) {
+        pose(0.5f, -0.3f, 0.2f); // would give another torque
+        wheel_speed(1.0f, 2.0f, 3.0f);
+        sync(1001);
+
+        TEST_ASSERT_EQUAL(2, got.count);
+        TEST_ASSERT_EQUAL_UINT16(torque.id, got.torque_frame.id);
+        TEST_ASSERT_EQUAL_HEX8_ARRAY(torque.data, got.torque_frame.data, 8);
+        TEST_ASSERT_EQUAL_HEX8_ARRAY(slip.data, got.slip_frame.data, 8);
+        assert_cursor(0, 1000);
+    }
+    tick(1002);
+    assert_still_tracking();
+    assert_cursor(0, 2000);
+    TEST_ASSERT_EQUAL_UINT16(0, app.missed_ticks);
+}
+
+static void test_sync_repeated_after_stop_gives_no_torque(void)
+{
+    make_moving();
+    assert_pushes_ahead();
+    command(OPERATION_STOP);
+
+    sync(1000);
+
+    assert_no_torque();
+    TEST_ASSERT_EQUAL_UINT8(MODE_IDLE, got.torque.mode);
+    TEST_ASSERT_EQUAL_UINT8(1000 & 0xF, got.torque.counter);
+}
+
+static void test_sync_repeated_in_fault_gives_the_same_bytes(void)
+{
+    make_faulty();
+    const frame_t torque = got.torque_frame;
+
+    sync(1000);
+
+    TEST_ASSERT_EQUAL_HEX8_ARRAY(torque.data, got.torque_frame.data, 8);
+    assert_no_torque();
+}
+
+static void test_sync_going_back_while_tracking_returns_to_idle_without_torque(void)
+{
+    make_moving();
+
+    tick(999);
+
+    assert_no_torque();
+    TEST_ASSERT_EQUAL_UINT8(MODE_IDLE, got.torque.mode);
+    TEST_ASSERT_EQUAL_UINT8(MODE_IDLE, got.status.mode);
+    TEST_ASSERT_EQUAL_UINT8(FAULT_NONE, got.status.fault);
+    tick(1000);
+    assert_no_torque();
+}
+
+static void test_sync_going_back_in_fault_stays_in_fault(void)
+{
+    make_faulty();
+
+    tick(1);
+
+    assert_no_torque();
+    TEST_ASSERT_EQUAL_UINT8(MODE_FAULT, got.torque.mode);
+}
+
+static void test_sync_at_the_largest_tick_is_a_tick_like_any_other(void)
+{
+    make_tracking();
+    tick(UINT32_MAX - 1);
+    tick(UINT32_MAX);
+
+    assert_still_tracking();
+    assert_cursor(0, 1000);
+}
+
+static void test_sync_wrapping_to_zero_counts_as_going_back_and_stops(void)
+{
+    // 49.7 days at 1 kHz: the host has to start anew before. It ends in IDLE without torque, not in a jump.
+    make_tracking();
+    tick(UINT32_MAX);
+
+    tick(0);
+
+    assert_no_torque();
+    TEST_ASSERT_EQUAL_UINT8(MODE_IDLE, got.torque.mode);
+    TEST_ASSERT_EQUAL_UINT16(0, app.missed_ticks);
+}
+
+static void test_status_comes_every_hundredth_tick(void)
+{
+    make_ready();
+    int statuses = 0;
+    for (uint32_t k = 1; k <= 1000; k++) {
+        tick(k);
+        TEST_ASSERT_EQUAL(k % 100 == 0 ? 1 : 0, got.statuses);
+        statuses += got.statuses;
+    }
+    TEST_ASSERT_EQUAL(10, statuses);
+}
+
+// ---- gaps
+
+static void test_gap_small_moves_the_trajectory_by_it_and_is_counted(void)
+{
+    make_moving();
+
+    tick(1004);
+
+    assert_still_tracking();
+    assert_cursor(0, 4000);
+    TEST_ASSERT_EQUAL_UINT16(3, app.missed_ticks);
+}
+
+static void test_gap_as_long_as_allowed_is_no_fault(void)
+{
+    make_moving();
+
+    tick(1000 + 1 + APP_TICK_GAP_MAX);
+
+    assert_still_tracking();
+    assert_cursor(1, 1000); // 11 ms
+    TEST_ASSERT_EQUAL_UINT16(APP_TICK_GAP_MAX, app.missed_ticks);
+}
+
+static void test_gap_just_too_long_is_a_fault(void)
+{
+    make_moving();
+
+    tick(1000 + 2 + APP_TICK_GAP_MAX);
+
+    assert_fault(FAULT_TICK_GAP);
+    assert_cursor(0, 0);
+    TEST_ASSERT_EQUAL_UINT16(APP_TICK_GAP_MAX + 1, got.status.missed_ticks);
+}
+
+static void test_gap_of_the_largest_size_is_a_fault_and_its_count_saturates(void)
+{
+    make_tracking();
+    tick(0);
+
+    tick(UINT32_MAX);
+
+    assert_fault(FAULT_TICK_GAP);
+    TEST_ASSERT_EQUAL_UINT16(UINT16_MAX, app.missed_ticks);
+}
+
+static void test_gaps_in_idle_are_not_counted(void)
+{
+    make_ready();
+    tick(1);
+    tick(500);
+
+    TEST_ASSERT_EQUAL_UINT16(0, app.missed_ticks);
+    TEST_ASSERT_EQUAL_UINT8(MODE_IDLE, got.torque.mode);
+}
+
+static void test_gaps_add_up_and_start_forgets_them(void)
+{
+    make_moving();
+    tick(1003);
+    tick(1006);
+    TEST_ASSERT_EQUAL_UINT16(4, app.missed_ticks);
+
+    command(OPERATION_STOP);
+    TEST_ASSERT_EQUAL_UINT16(4, got.status.missed_ticks);
+    command(OPERATION_START);
+
+    TEST_ASSERT_EQUAL_UINT16(0, got.status.missed_ticks);
+}
+
+// ---- faults
+
+static void test_pose_missing_for_five_ticks_is_borne_and_for_six_a_fault(void)
+{
+    make_moving();
+    for (uint32_t k = 1; k <= 5; k++) {
+        wheel_speed(0.0f, 0.0f, 0.0f);
+        sync(1000 + k);
+        assert_still_tracking();
+    }
+    wheel_speed(0.0f, 0.0f, 0.0f);
+    sync(1006);
+
+    assert_fault(FAULT_STALE_POSE);
+}
+
+static void test_wheel_speed_missing_for_five_ticks_is_borne_and_for_six_a_fault(void)
+{
+    make_moving();
+    for (uint32_t k = 1; k <= 5; k++) {
+        pose(-0.01f, 0.0f, 0.0f);
+        sync(1000 + k);
+        assert_still_tracking();
+    }
+    pose(-0.01f, 0.0f, 0.0f);
+    sync(1006);
+
+    assert_fault(FAULT_STALE_WHEEL_SPEED);
+}
+
+static void test_sensor_data_after_five_missing_ticks_are_fresh_again(void)
+{
+    make_moving();
+    for (uint32_t round = 0; round < 4; round++) {
+        for (uint32_t k = 1; k <= 5; k++) {
+            sync(1000 + 6 * round + k);
+        }
+        tick(1006 + 6 * round);
+        assert_still_tracking();
+    }
+}
+
+static void test_ticks_lost_in_a_gap_make_sensor_data_older(void)
+{
+    make_moving();
+    wheel_speed(0.0f, 0.0f, 0.0f);
+    sync(1006); // the pose is six ticks old
+
+    assert_fault(FAULT_STALE_POSE);
+
+    setUp();
+    make_moving();
+    pose(-0.01f, 0.0f, 0.0f);
+    sync(1006);
+
+    assert_fault(FAULT_STALE_WHEEL_SPEED);
+}
+
+static void test_pose_that_never_came_is_a_fault(void)
+{
+    make_tracking();
+    wheel_speed(0.0f, 0.0f, 0.0f);
+    sync(1);
+
+    assert_fault(FAULT_STALE_POSE);
+}
+
+static void test_wheel_speed_that_never_came_is_a_fault(void)
+{
+    make_tracking();
+    pose(0.0f, 0.0f, 0.0f);
+    sync(1);
+
+    assert_fault(FAULT_STALE_WHEEL_SPEED);
+}
+
+static void test_pose_from_long_before_start_is_a_fault(void)
+{
+    make_ready();
+    tick(1);
+    tick(2);
+    for (uint32_t k = 3; k < 20; k++) {
+        wheel_speed(0.0f, 0.0f, 0.0f);
+        sync(k);
+    }
+    command(OPERATION_START);
+    wheel_speed(0.0f, 0.0f, 0.0f);
+    sync(20);
+
+    assert_fault(FAULT_STALE_POSE);
+}
+
+static void test_sensor_value_not_available_is_a_fault(void)
+{
+    for (int i = 0; i < 6; i++) {
+        setUp();
+        make_moving();
+        pose(i == 0 ? NAN : 0.0f, i == 1 ? NAN : 0.0f, i == 2 ? NAN : 0.0f);
+        wheel_speed(i == 3 ? NAN : 0.0f, i == 4 ? NAN : 0.0f, i == 5 ? NAN : 0.0f);
+        sync(1001);
+
+        assert_fault(FAULT_NOT_FINITE);
+        TEST_ASSERT_FLOAT_WITHIN(0.0f, 0.0f, got.slip.mu1_m_per_s);
+        TEST_ASSERT_FLOAT_WITHIN(0.0f, 0.0f, got.slip.mu2_m_per_s);
+        TEST_ASSERT_FLOAT_WITHIN(0.0f, 0.0f, got.slip.mu3_m_per_s);
+    }
+}
+
+static void test_sensor_value_not_available_in_idle_is_no_fault(void)
+{
+    pose(NAN, NAN, NAN);
+    wheel_speed(NAN, NAN, NAN);
+    sync(1);
+
+    assert_no_torque();
+    TEST_ASSERT_EQUAL_UINT8(MODE_IDLE, got.torque.mode);
+}
+
+static void test_fault_keeps_the_first_cause_and_collects_the_others(void)
+{
+    make_moving();
+    for (uint32_t k = 1; k <= 6; k++) {
+        sync(1000 + k); // both sensors missing
+    }
+    tick(1007);
+    tick(1100); // what would be a gap, too
+
+    TEST_ASSERT_EQUAL_UINT8(MODE_FAULT, got.status.mode);
+    TEST_ASSERT_EQUAL_UINT8(FAULT_STALE_POSE, got.status.fault);
+    TEST_ASSERT_EQUAL_UINT16(1u << FAULT_STALE_POSE | 1u << FAULT_STALE_WHEEL_SPEED, got.status.fault_mask);
+}
+
+static void test_fault_outlives_good_data_stop_and_start(void)
+{
+    make_faulty();
+    for (uint32_t k = 1; k < 20; k++) {
+        tick(1000 + k);
+        assert_no_torque();
+    }
+    command(OPERATION_STOP);
+    TEST_ASSERT_EQUAL_UINT8(MODE_FAULT, got.status.mode);
+    command(OPERATION_START);
+    TEST_ASSERT_EQUAL_UINT8(MODE_FAULT, got.status.mode);
+    TEST_ASSERT_EQUAL_UINT8(FAULT_STALE_POSE, got.status.fault);
+}
+
+static void test_clear_returns_from_fault_to_idle_without_causes(void)
+{
+    make_faulty();
+
+    command(OPERATION_CLEAR);
+
+    TEST_ASSERT_EQUAL_UINT8(MODE_IDLE, got.status.mode);
+    TEST_ASSERT_EQUAL_UINT8(FAULT_NONE, got.status.fault);
+    TEST_ASSERT_EQUAL_UINT16(0, got.status.fault_mask);
+    TEST_ASSERT_EQUAL_UINT8(REFUSAL_NONE, got.status.refusal);
+    tick(1001);
+    assert_no_torque();
+}
+
+static void test_clear_keeps_the_trajectory_and_start_drives_again(void)
+{
+    make_faulty();
+    command(OPERATION_CLEAR);
+    command(OPERATION_START);
+
+    tick(1001);
+
+    assert_still_tracking();
+}
+
+static void test_clear_while_tracking_goes_on_tracking(void)
+{
+    make_moving();
+
+    command(OPERATION_CLEAR);
+    TEST_ASSERT_EQUAL_UINT8(MODE_TRACKING, got.status.mode);
+
+    tick(1001);
+    assert_still_tracking();
+}
+
+static void test_stop_while_tracking_is_idle_without_torque(void)
+{
+    make_moving();
+
+    command(OPERATION_STOP);
+    TEST_ASSERT_EQUAL_UINT8(MODE_IDLE, got.status.mode);
+
+    tick(1001);
+    assert_no_torque();
+}
+
+// ---- frames that are not for us, or damaged
+
+static void test_frames_of_other_nodes_are_ignored(void)
+{
+    make_moving();
+    for (uint8_t node = 0; node < FRAME_NODE_COUNT; node++) {
+        if (node != NODE) {
+            frame_t frame;
+            command_encode(&frame, node, &(command_message_t){.operation = OPERATION_STOP});
+            app_receive(&app, &frame);
+            sync_encode(&frame, node, &(sync_message_t){2000, 0});
+            app_receive(&app, &frame);
+            pose_encode(&frame, node, &(pose_message_t){5.0f, 5.0f, 1.0f, 0});
+            app_receive(&app, &frame);
+            hello_encode(&frame, node, &(hello_message_t){0});
+            app_receive(&app, &frame);
+        }
+    }
+    look();
+    TEST_ASSERT_EQUAL(0, got.count);
+    TEST_ASSERT_EQUAL_UINT16(0, app.dropped_frames);
+
+    tick(1001);
+    assert_still_tracking();
+}
+
+static void test_frames_of_functions_that_the_robot_does_not_take_are_ignored(void)
+{
+    for (uint16_t function = 0; function < 128; function++) {
+        static const uint16_t taken[] = {1, 2, 3, 4, 32, 33, 48, 49, 64};
+        bool known = false;
+        for (size_t i = 0; i < sizeof taken / sizeof taken[0]; i++) {
+            known = known || function == taken[i];
+        }
+        if (!known) {
+            const frame_t frame = {.id = (uint16_t)(function << FRAME_NODE_BITS | NODE), .length = 8};
+            app_receive(&app, &frame);
+        }
+    }
+    look();
+    TEST_ASSERT_EQUAL(0, got.count);
+    TEST_ASSERT_EQUAL_UINT16(0, app.dropped_frames);
+}
+
+static void test_frames_of_a_wrong_length_are_counted_and_do_nothing(void)
+{
+    static const uint16_t taken[] = {1, 2, 3, 4, 32, 33, 48, 49, 64};
+    make_moving();
+    const app_t before = app;
+    for (uint16_t i = 0; i < 9; i++) {
+        const frame_t frame = {.id = (uint16_t)(taken[i] << FRAME_NODE_BITS | NODE), .length = 0};
+        app_receive(&app, &frame);
+
+        TEST_ASSERT_EQUAL_UINT16(i + 1, app.dropped_frames);
+    }
+    app.dropped_frames = 0;
+    TEST_ASSERT_EQUAL_MEMORY(&before, &app, sizeof app);
+}
+
+static void test_frames_with_a_wrong_crc_are_counted_and_do_nothing(void)
+{
+    make_moving();
+    const app_t before = app;
+    frame_t frame;
+    sync_encode(&frame, NODE, &(sync_message_t){1001, 9});
+    frame.data[0] ^= 0x40; // another tick
+    app_receive(&app, &frame);
+    command_encode(&frame, NODE, &(command_message_t){.operation = OPERATION_CLEAR});
+    frame.data[0] ^= 1u; // STOP
+    app_receive(&app, &frame);
+    parameter_set_encode(&frame, NODE, &(parameter_set_message_t){.index = 0, .value = 0.0f});
+    frame.data[4] ^= 0x80;
+    app_receive(&app, &frame);
+
+    TEST_ASSERT_EQUAL_UINT16(3, app.dropped_frames);
+    app.dropped_frames = 0;
+    TEST_ASSERT_EQUAL_MEMORY(&before, &app, sizeof app);
+}
+
+static void test_count_of_damaged_frames_stops_at_its_largest_value(void)
+{
+    const frame_t frame = {.id = SYNC_FUNCTION << FRAME_NODE_BITS | NODE, .length = 1};
+    for (uint32_t i = 0; i < 70000; i++) {
+        app_receive(&app, &frame);
+    }
+
+    TEST_ASSERT_EQUAL_UINT16(UINT16_MAX, app.dropped_frames);
+    command(OPERATION_STOP);
+    TEST_ASSERT_EQUAL_UINT16(UINT16_MAX, got.status.dropped_frames);
+}
+
+// ---- parameters
+
+static void assert_value(uint8_t index, uint8_t result, float value)
+{
+    TEST_ASSERT_EQUAL(1, got.count);
+    TEST_ASSERT_EQUAL(1, got.values);
+    TEST_ASSERT_EQUAL_UINT8(index, got.value.index);
+    TEST_ASSERT_EQUAL_UINT8(result, got.value.result);
+    TEST_ASSERT_FLOAT_WITHIN(0.0f, value, got.value.value);
+}
+
+static void test_parameter_get_gives_the_default(void)
+{
+    get_parameter(PARAMETER_FORCE_BOUND_N);
+    assert_value(PARAMETER_FORCE_BOUND_N, PARAMETER_VALUE_RESULT_OK, 3.5f);
+}
+
+static void test_parameter_get_of_an_unknown_index_gives_nan(void)
+{
+    get_parameter(PARAMETER_COUNT);
+    assert_value(PARAMETER_COUNT, PARAMETER_VALUE_RESULT_UNKNOWN_INDEX, NAN);
+    get_parameter(255);
+    assert_value(255, PARAMETER_VALUE_RESULT_UNKNOWN_INDEX, NAN);
+}
+
+static void test_parameter_set_in_idle_is_taken_and_kept(void)
+{
+    set_parameter(PARAMETER_EPSILON, 0.125f);
+    assert_value(PARAMETER_EPSILON, PARAMETER_VALUE_RESULT_OK, 0.125f);
+
+    get_parameter(PARAMETER_EPSILON);
+    assert_value(PARAMETER_EPSILON, PARAMETER_VALUE_RESULT_OK, 0.125f);
+    TEST_ASSERT_FLOAT_WITHIN(0.0f, 0.125f, app.control.epsilon_per_N);
+}
+
+static void test_parameter_set_reaches_the_torque(void)
+{
+    set_parameter(PARAMETER_TORQUE_BOUND_NM, 0.002f);
+    make_moving();
+
+    TEST_ASSERT_FLOAT_WITHIN(1e-6f, 0.002f, got.torque.wheel3_Nm);
+}
+
+static void test_parameter_set_out_of_range_answers_the_value_in_force(void)
+{
+    set_parameter(PARAMETER_EPSILON, 2.0f);
+    assert_value(PARAMETER_EPSILON, PARAMETER_VALUE_RESULT_OUT_OF_RANGE, 0.01f);
+    set_parameter(PARAMETER_EPSILON, NAN);
+    assert_value(PARAMETER_EPSILON, PARAMETER_VALUE_RESULT_OUT_OF_RANGE, 0.01f);
+}
+
+static void test_parameter_set_of_an_unknown_index_is_refused(void)
+{
+    set_parameter(PARAMETER_COUNT, 0.5f);
+    assert_value(PARAMETER_COUNT, PARAMETER_VALUE_RESULT_UNKNOWN_INDEX, NAN);
+}
+
+static void test_parameter_set_in_motion_is_refused_and_changes_nothing(void)
+{
+    make_moving();
+    const control_params_t before = app.control;
+
+    set_parameter(PARAMETER_EPSILON, 0.5f);
+
+    assert_value(PARAMETER_EPSILON, PARAMETER_VALUE_RESULT_IN_MOTION, 0.01f);
+    TEST_ASSERT_FLOAT_WITHIN(0.0f, before.epsilon_per_N, app.control.epsilon_per_N);
+    get_parameter(PARAMETER_EPSILON);
+    assert_value(PARAMETER_EPSILON, PARAMETER_VALUE_RESULT_OK, 0.01f);
+}
+
+// ---- uploads
+
+static void test_upload_of_a_wrong_crc_leaves_no_trajectory(void)
+{
+    hello(PROTOCOL_HASH);
+    make_upload();
+    begin_upload(crc32_bitwise(upload, UPLOAD_BYTES) + 1u);
+    for (uint16_t offset = 0; offset < UPLOAD_BYTES; offset += 6) {
+        send_data(offset);
+    }
+
+    TEST_ASSERT_EQUAL_UINT8(TRAJECTORY_ACK_RESULT_WRONG_CRC, got.ack.result);
+    assert_start_refused(REFUSAL_NO_TRAJECTORY, MODE_IDLE);
+}
+
+static void test_upload_is_acknowledged_every_16_frames_with_the_next_offset(void)
+{
+    make_upload();
+    begin_upload(crc32_bitwise(upload, UPLOAD_BYTES));
+    for (uint16_t frame = 1; frame < UPLOAD_BYTES / 6; frame++) {
+        send_data((uint16_t)(6 * (frame - 1)));
+
+        TEST_ASSERT_EQUAL(frame % 16 == 0 ? 1 : 0, got.count);
+        if (got.acks > 0) {
+            TEST_ASSERT_EQUAL_UINT16(6 * frame, got.ack.offset_bytes);
+        }
+    }
+}
+
+static void test_upload_behind_a_gap_is_told_the_offset_to_go_on_from(void)
+{
+    make_upload();
+    begin_upload(crc32_bitwise(upload, UPLOAD_BYTES));
+    send_data(0);
+    send_data(12);
+
+    TEST_ASSERT_EQUAL_UINT8(TRAJECTORY_ACK_RESULT_WRONG_OFFSET, got.ack.result);
+    TEST_ASSERT_EQUAL_UINT16(6, got.ack.offset_bytes);
+}
+
+static void test_upload_in_motion_is_refused_and_the_running_trajectory_untouched(void)
+{
+    make_moving();
+    const store_t before = app.store;
+    upload[4] ^= 0xFF;
+
+    begin_upload(crc32_bitwise(upload, UPLOAD_BYTES));
+    TEST_ASSERT_EQUAL(1, got.count);
+    TEST_ASSERT_EQUAL_UINT8(TRAJECTORY_ACK_RESULT_IN_MOTION, got.ack.result);
+    send_data(0);
+    TEST_ASSERT_EQUAL(1, got.count);
+    TEST_ASSERT_EQUAL_UINT8(TRAJECTORY_ACK_RESULT_IN_MOTION, got.ack.result);
+
+    TEST_ASSERT_EQUAL_MEMORY(&before, &app.store, sizeof before);
+    tick(1001);
+    assert_still_tracking();
+    assert_cursor(0, 1000);
+}
+
+static void test_upload_in_fault_is_taken(void)
+{
+    make_faulty();
+    upload_trajectory();
+    command(OPERATION_CLEAR);
+    command(OPERATION_START);
+    TEST_ASSERT_EQUAL_UINT8(MODE_TRACKING, got.status.mode);
+}
+
+// ---- the outbox
+
+static void test_outbox_full_counts_what_is_lost_and_keeps_the_first(void)
+{
+    for (uint32_t k = 1; k <= 20; k++) {
+        sync_only(k); // two frames each, sixteen fit
+    }
+    look();
+
+    TEST_ASSERT_EQUAL(OUTBOX_FRAMES, got.count);
+    TEST_ASSERT_EQUAL_UINT16(2 * 20 - OUTBOX_FRAMES, app.dropped_frames);
+    for (uint8_t i = 0; i < OUTBOX_FRAMES; i++) {
+        torque_message_t torque;
+        if (i % 2 == 0) {
+            TEST_ASSERT_EQUAL(DECODE_OK, torque_decode(&torque, &got.frame[i]));
+            TEST_ASSERT_EQUAL_UINT8((1 + i / 2) & 0xF, torque.counter);
+        }
+    }
+    sync(21);
+    TEST_ASSERT_EQUAL(2, got.count);
+}
+
+static void test_outbox_keeps_the_order_over_its_end(void)
+{
+    for (uint32_t k = 1; k <= 50; k++) {
+        sync_only(2 * k);
+        sync_only(2 * k + 1);
+        look();
+
+        const int before = k == 50 ? 1 : 0; // STATUS at tick 100 comes after its answers
+        TEST_ASSERT_EQUAL(4 + before, got.count);
+        TEST_ASSERT_EQUAL_UINT16(TORQUE_FUNCTION << FRAME_NODE_BITS | NODE, got.frame[0].id);
+        TEST_ASSERT_EQUAL_UINT16(SLIP_FUNCTION << FRAME_NODE_BITS | NODE, got.frame[1].id);
+        TEST_ASSERT_EQUAL_UINT8((2 * k + 1) & 0xFu, got.torque.counter);
+    }
+}
+
+static void test_transmit_of_nothing_is_false(void)
+{
+    frame_t frame;
+    TEST_ASSERT_FALSE(app_transmit(&app, &frame));
+}
+
+// ---- several robots
+
+static void test_two_instances_on_one_bus_are_independent(void)
+{
+    static app_t other;
+    app_init(&other, &omnibot, NODE + 1);
+    frame_t frame;
+    while (app_transmit(&other, &frame)) {
+    }
+    make_moving();
+    const app_t untouched = other;
+
+    // Every frame reaches both.
+    for (uint32_t k = 1; k <= 20; k++) {
+        pose_encode(&frame, NODE, &(pose_message_t){-0.01f, 0.0f, 0.0f, 0});
+        app_receive(&app, &frame);
+        app_receive(&other, &frame);
+        wheel_speed_encode(&frame, NODE, &(wheel_speed_message_t){0});
+        app_receive(&app, &frame);
+        app_receive(&other, &frame);
+        sync_encode(&frame, NODE, &(sync_message_t){1000 + k, 0});
+        app_receive(&app, &frame);
+        app_receive(&other, &frame);
+        look();
+        assert_still_tracking();
+    }
+    TEST_ASSERT_EQUAL_MEMORY(&untouched, &other, sizeof other);
+
+    sync_encode(&frame, NODE + 1, &(sync_message_t){5, 0});
+    app_receive(&app, &frame);
+    app_receive(&other, &frame);
+    look();
+    TEST_ASSERT_EQUAL(0, got.count);
+    TEST_ASSERT_TRUE(app_transmit(&other, &frame));
+    TEST_ASSERT_EQUAL_UINT16(TORQUE_FUNCTION << FRAME_NODE_BITS | (NODE + 1), frame.id);
+    torque_message_t torque;
+    TEST_ASSERT_EQUAL(DECODE_OK, torque_decode(&torque, &frame));
+    TEST_ASSERT_EQUAL_UINT8(MODE_IDLE, torque.mode);
+}
+
+static void test_two_instances_with_the_same_frames_give_the_same_bytes(void)
+{
+    static app_t other;
+    make_moving();
+    other = app;
+    for (uint32_t k = 1; k <= 100; k++) {
+        tick(1000 + k);
+        const frame_t torque = got.torque_frame;
+        frame_t frame;
+        pose_encode(&frame, NODE, &(pose_message_t){-0.01f, 0.0f, 0.0f, 0});
+        app_receive(&other, &frame);
+        wheel_speed_encode(&frame, NODE, &(wheel_speed_message_t){0});
+        app_receive(&other, &frame);
+        sync_encode(&frame, NODE, &(sync_message_t){1000 + k, 0});
+        app_receive(&other, &frame);
+        TEST_ASSERT_TRUE(app_transmit(&other, &frame));
+        TEST_ASSERT_EQUAL_HEX8_ARRAY(torque.data, frame.data, 8);
+        while (app_transmit(&other, &frame)) {
+        }
+    }
+}
+
+int main(void)
+{
+    UNITY_BEGIN();
+    RUN_TEST(test_init_is_idle_and_says_so);
+    RUN_TEST(test_init_over_an_old_instance_forgets_everything);
+    RUN_TEST(test_hello_with_our_hash_is_answered_by_a_matching_identity);
+    RUN_TEST(test_hello_with_another_hash_is_answered_by_ours_and_no_match);
+    RUN_TEST(test_start_without_hello_is_refused_unknown_peer);
+    RUN_TEST(test_start_after_a_wrong_hash_is_refused_unknown_peer);
+    RUN_TEST(test_start_after_a_right_and_then_a_wrong_hash_is_refused_unknown_peer);
+    RUN_TEST(test_start_without_a_trajectory_is_refused);
+    RUN_TEST(test_start_during_an_upload_is_refused_no_trajectory);
+    RUN_TEST(test_start_while_tracking_is_refused_wrong_mode);
+    RUN_TEST(test_start_in_fault_is_refused_wrong_mode);
+    RUN_TEST(test_start_when_ready_tracks);
+    RUN_TEST(test_command_of_any_kind_is_answered_by_one_status_alone);
+    RUN_TEST(test_start_taken_after_a_refusal_no_longer_shows_it_in_any_status);
+    RUN_TEST(test_start_takes_any_tick_number_as_the_first);
+    RUN_TEST(test_start_between_two_syncs_of_one_tick_steps_it_anew);
+    RUN_TEST(test_start_after_stop_begins_the_trajectory_again);
+    RUN_TEST(test_unknown_operations_are_refused);
+    RUN_TEST(test_sync_in_every_mode_is_answered_by_one_torque_and_one_slip);
+    RUN_TEST(test_sync_in_idle_and_fault_gives_no_torque);
+    RUN_TEST(test_sync_in_idle_without_sensors_is_no_fault);
+    RUN_TEST(test_sync_while_tracking_gives_the_torque_of_the_control_step);
+    RUN_TEST(test_sync_steps_walk_over_the_joints_and_rest_at_the_end);
+    RUN_TEST(test_sync_repeated_gets_the_same_bytes_and_no_second_step);
+    RUN_TEST(test_sync_repeated_after_stop_gives_no_torque);
+    RUN_TEST(test_sync_repeated_in_fault_gives_the_same_bytes);
+    RUN_TEST(test_sync_going_back_while_tracking_returns_to_idle_without_torque);
+    RUN_TEST(test_sync_going_back_in_fault_stays_in_fault);
+    RUN_TEST(test_sync_at_the_largest_tick_is_a_tick_like_any_other);
+    RUN_TEST(test_sync_wrapping_to_zero_counts_as_going_back_and_stops);
+    RUN_TEST(test_status_comes_every_hundredth_tick);
+    RUN_TEST(test_gap_small_moves_the_trajectory_by_it_and_is_counted);
+    RUN_TEST(test_gap_as_long_as_allowed_is_no_fault);
+    RUN_TEST(test_gap_just_too_long_is_a_fault);
+    RUN_TEST(test_gap_of_the_largest_size_is_a_fault_and_its_count_saturates);
+    RUN_TEST(test_gaps_in_idle_are_not_counted);
+    RUN_TEST(test_gaps_add_up_and_start_forgets_them);
+    RUN_TEST(test_pose_missing_for_five_ticks_is_borne_and_for_six_a_fault);
+    RUN_TEST(test_wheel_speed_missing_for_five_ticks_is_borne_and_for_six_a_fault);
+    RUN_TEST(test_sensor_data_after_five_missing_ticks_are_fresh_again);
+    RUN_TEST(test_ticks_lost_in_a_gap_make_sensor_data_older);
+    RUN_TEST(test_pose_that_never_came_is_a_fault);
+    RUN_TEST(test_wheel_speed_that_never_came_is_a_fault);
+    RUN_TEST(test_pose_from_long_before_start_is_a_fault);
+    RUN_TEST(test_sensor_value_not_available_is_a_fault);
+    RUN_TEST(test_sensor_value_not_available_in_idle_is_no_fault);
+    RUN_TEST(test_fault_keeps_the_first_cause_and_collects_the_others);
+    RUN_TEST(test_fault_outlives_good_data_stop_and_start);
+    RUN_TEST(test_clear_returns_from_fault_to_idle_without_causes);
+    RUN_TEST(test_clear_keeps_the_trajectory_and_start_drives_again);
+    RUN_TEST(test_clear_while_tracking_goes_on_tracking);
+    RUN_TEST(test_stop_while_tracking_is_idle_without_torque);
+    RUN_TEST(test_frames_of_other_nodes_are_ignored);
+    RUN_TEST(test_frames_of_functions_that_the_robot_does_not_take_are_ignored);
+    RUN_TEST(test_frames_of_a_wrong_length_are_counted_and_do_nothing);
+    RUN_TEST(test_frames_with_a_wrong_crc_are_counted_and_do_nothing);
+    RUN_TEST(test_count_of_damaged_frames_stops_at_its_largest_value);
+    RUN_TEST(test_parameter_get_gives_the_default);
+    RUN_TEST(test_parameter_get_of_an_unknown_index_gives_nan);
+    RUN_TEST(test_parameter_set_in_idle_is_taken_and_kept);
+    RUN_TEST(test_parameter_set_reaches_the_torque);
+    RUN_TEST(test_parameter_set_out_of_range_answers_the_value_in_force);
+    RUN_TEST(test_parameter_set_of_an_unknown_index_is_refused);
+    RUN_TEST(test_parameter_set_in_motion_is_refused_and_changes_nothing);
+    RUN_TEST(test_upload_of_a_wrong_crc_leaves_no_trajectory);
+    RUN_TEST(test_upload_is_acknowledged_every_16_frames_with_the_next_offset);
+    RUN_TEST(test_upload_behind_a_gap_is_told_the_offset_to_go_on_from);
+    RUN_TEST(test_upload_in_motion_is_refused_and_the_running_trajectory_untouched);
+    RUN_TEST(test_upload_in_fault_is_taken);
+    RUN_TEST(test_outbox_full_counts_what_is_lost_and_keeps_the_first);
+    RUN_TEST(test_outbox_keeps_the_order_over_its_end);
+    RUN_TEST(test_transmit_of_nothing_is_false);
+    RUN_TEST(test_two_instances_on_one_bus_are_independent);
+    RUN_TEST(test_two_instances_with_the_same_frames_give_the_same_bytes);
+    return UNITY_END();
+}
