@@ -256,6 +256,7 @@ def execute(
     Whatever ends the drive, what was recorded until then is written.
     """
     plant = Plant(robot, scenario.traction_of(robot), scenario.speed_length_m, scenario.delta_m_per_s)
+    plant.step(np.zeros(3), robot.control_period_s)  # compiles it, so that the drive is not charged for that
     plant.reset(*start_state(robot, trajectory))
     identity = prepare(link, robot, scenario, trajectory)
     driven = drive(link, plant, robot, trajectory, pace)

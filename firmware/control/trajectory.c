@@ -72,5 +72,8 @@ reference_t trajectory_reference(const trajectory_segment_t *segments, uint16_t 
     const trajectory_segment_t *segment = &segments[cursor->segment];
     const reference_t reference = reference_in(segment, cursor->time_us);
     const bool at_end = cursor->segment + 1 == count && cursor->time_us == segment->duration_us;
-    return at_end ? (reference_t){.position = reference.position} : reference;
+    if (at_end) {
+        return (reference_t){.position = reference.position};
+    }
+    return reference;
 }
