@@ -18,11 +18,12 @@ def run(*command, **options):
 
 
 def descendants(pid):
-    """Process ids of the children of `pid`, and of theirs."""
-    found = []
-    for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split():
-        found += [int(child), *descendants(child)]
-    return found
+    """Process ids of the children of `pid`, and of theirs; none of a process that has ended meanwhile."""
+    try:
+        children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    except (FileNotFoundError, ProcessLookupError):
+        return []
+    return [found for child in children for found in (int(child), *descendants(child))]
 
 
 def is_alive(pid):
