@@ -26,6 +26,13 @@ def descendants(pid):
     return [found for child in children for found in (int(child), *descendants(child))]
 
 
+def command_line(pid):
+    try:
+        return Path(f"/proc/{pid}/cmdline").read_text()
+    except (FileNotFoundError, ProcessLookupError):
+        return ""
+
+
 def is_alive(pid):
     try:
         state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
@@ -98,7 +105,7 @@ def test_sigterm_leaves_no_process_and_no_folder():
     )
     assert wrapper.stdout.readline() == b"ready\n"
     family = descendants(wrapper.pid)
-    commands = "".join(Path(f"/proc/{pid}/cmdline").read_text() for pid in family)
+    commands = "".join(command_line(pid) for pid in family)
     folders = set(re.findall(r"init=(/tmp/with-vcan\.\w+)/init", commands))
 
     wrapper.send_signal(signal.SIGTERM)
