@@ -17,6 +17,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from host_sim.errors import OmnibotError
 from host_sim.robot import Parameter, Robot, load_robot
 
+# FLOOR_CURVE_INTERVALS of firmware/control/floor.h; the compiler complains if there are more points than that.
+CURVE_INTERVALS = 64
+FORCE_SHARE_MAX = 0.95
+
 NOTE = "// Generated from {source} by tools/generate_constants.py; do not edit.\n"
 
 
@@ -33,25 +37,49 @@ def c_matrix(matrix: NDArray[np.floating[Any]]) -> str:
     return f"{{{{{rows}}}}}"
 
 
+def layer_rate(robot: Robot) -> float:
+    """Return the slowest eigenvalue of M22 Gamma^2 = Jr Mo^-1 Jr^T + r^2/Iw I: the boundary layer (18) dies by it."""
+    rates = robot.Jr / robot.Mo @ robot.Jr.T + robot.wheel_radius_m**2 / robot.wheel_inertia_kg_m2 * np.eye(3)
+    return float(np.linalg.eigvalsh(rates).min())
+
+
+def c_curve(robot: Robot) -> str:
+    """Return the initialiser of a floor_curve_t: the rising branch of the magic formula, slip from force.
+
+    u = sin(C atan y) with y = (1 - E) x + E atan x and x = B s, so g = s / (eps Dp) = C x. The branch is left a little
+    below the peak, where its slope is without bound.
+    """
+    force_share = np.linspace(0.0, FORCE_SHARE_MAX, CURVE_INTERVALS + 1)
+    y = np.tan(np.arcsin(force_share) / robot.magic_shape)
+    e = robot.magic_curvature
+    x = y.copy()
+    for _ in range(50):  # concave in x: Newton from the left rises to the root
+        x += (y - (1.0 - e) * x - e * np.arctan(x)) / ((1.0 - e) + e / (1.0 + x * x))
+    points = ", ".join(c_float(g) for g in robot.magic_shape * x)
+    return f"{{{c_float(FORCE_SHARE_MAX)}, {{{points}}}}}"
+
+
 def robot_fields(robot: Robot) -> list[tuple[str, str, str]]:
     """Return field, initialiser and source formula of a robot_t."""
     jr, r = robot.Jr, robot.wheel_radius_m
     gamma = jr @ jr.T + r**2 * np.eye(3)
+    rolling = np.linalg.inv(jr.T @ jr) @ np.diag(robot.Mo)
     period_us = round(1e6 * robot.control_period_s)
     return [
         ("tracked_point_offset_m", c_float(robot.tracked_point_offset_m), "L"),
-        ("wheel_distance_m", c_float(robot.wheel_distance_m), "b"),
         ("wheel_radius_m", c_float(r), "r"),
         ("wheel_inertia_kgm2", c_float(robot.wheel_inertia_kg_m2), "Iw"),
         ("normalised_stiffness_N", c_float(robot.normalised_stiffness_N), "G0"),
         ("control_period_us", f"{period_us}u", "T"),
         ("wheel_rate_of_twist", c_matrix(jr / r), "J = Jr / r"),
         ("twist_of_wheel_rate", c_matrix(r * np.linalg.inv(jr)), "J^-1"),
-        ("drive_directions", c_matrix(jr), "Jr"),
         ("twist_of_contact_speed", c_matrix(np.linalg.inv(jr)), "Jr^-1"),
-        ("body_force_of_wheels", c_matrix(jr.T), "Jr^T"),
         ("slip_mobility_inverse", c_matrix(np.linalg.inv(gamma)), "Gamma^-1 = (Jr Jr^T + r^2 I)^-1"),
         ("wheel_force_of_accel", c_matrix(np.linalg.inv(jr.T) @ np.diag(robot.Mo)), "Lambda = Jr^-T Mo"),
+        ("accel_of_wheel_force", c_matrix((jr / robot.Mo).T), "Lambda^-1 = Mo^-1 Jr^T"),
+        ("slip_twist_of_accel", c_matrix(rolling), "Jr^-1 Lambda = (Jr^T Jr)^-1 Mo"),
+        ("layer_rate_m_per_Ns2", c_float(layer_rate(robot)), "slowest eigenvalue of M22 Gamma^2"),
+        ("floor_curve", c_curve(robot), "magic formula turned round: g(u) = s / (eps Dp)"),
     ]
 
 

@@ -74,7 +74,8 @@ static void age(reading_t *reading, uint32_t ticks)
 /// Raises the faults of missing data. What the controller needs must be there before it is asked.
 static void check_readings(app_t *app)
 {
-    if (app->pose.age_ticks > APP_STALE_TICKS_MAX) {
+    if ((float)app->pose.age_ticks * (float)app->robot->control_period_us >
+        app->parameters.value[PARAMETER_POSE_TIMEOUT_S] * 1.0e6f) {
         raise_fault(app, FAULT_STALE_POSE);
     }
     if (app->wheel_speed.age_ticks > APP_STALE_TICKS_MAX) {
@@ -90,11 +91,12 @@ static control_output_t drive(app_t *app)
         return output;
     }
     const control_input_t input = {
+        .pose_is_new = app->pose.age_ticks == 0,
         .pose = app->pose.value,
         .wheel_speed_rad_per_s = app->wheel_speed.value,
         .reference = trajectory_reference(app->store.segment, app->store.segment_count, &app->cursor),
     };
-    if (!control_step(&app->control, &input, &output)) {
+    if (!control_step(&app->control, &app->state, &input, &output)) {
         raise_fault(app, FAULT_NOT_FINITE);
     }
     return output;
@@ -219,6 +221,7 @@ static uint8_t start(app_t *app)
         return REFUSAL_NO_TRAJECTORY;
     }
     app->cursor = (trajectory_cursor_t){0, 0};
+    app->state = (control_state_t){.pose.value = app->pose.value};
     app->tick_known = false;
     app->missed_ticks = 0;
     app->mode = mode_after(app->mode, EVENT_START);

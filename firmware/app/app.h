@@ -11,7 +11,7 @@
 #include "store.h"
 
 enum {
-    APP_STALE_TICKS_MAX = 5, // older sensor data are a fault
+    APP_STALE_TICKS_MAX = 5, // older wheel speeds are a fault; poses may be as old as pose_timeout_s says
     APP_TICK_GAP_MAX = 10,   // more missing ticks in a row are a fault
     APP_STATUS_EVERY_TICKS = 100,
     APP_VERSION_MAJOR = 0,
@@ -41,6 +41,7 @@ typedef struct {
     reading_t pose;          // x1, x2 (m), θ (rad)
     reading_t wheel_speed;   // rad/s
     trajectory_cursor_t cursor;
+    control_state_t state;
     parameters_t parameters;
     control_params_t control; // made from the parameters
     frame_t torque_answer;    // to the last SYNC

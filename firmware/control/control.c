@@ -4,12 +4,28 @@
 #include "kinematics.h"
 #include "manifold.h"
 
-/// What the law asks for at one order of the expansion.
+enum { OBSERVER_ROUNDS = 3 };
+
+/// c = ε κ: how much slip velocity a wheel force costs.
+typedef struct {
+    float mps_per_N;
+    bool held_back; // at its bound, and so without a rate
+} compliance_t;
+
+/// What every stage of a step looks at.
+typedef struct {
+    const control_params_t *params;
+    tracking_t tracking;
+    vec3_t odometry; // v_odo
+    compliance_t compliance;
+} step_t;
+
+/// What the law asks for.
 typedef struct {
     vec3_t twist;              // ν
     vec3_t eta;                // η
-    vec3_t wheel_force_N;      // λ = λ0 + ε λ1
-    vec3_t wheel_acceleration; // φ̈ = J v̇ − r ε Ḣ0
+    vec3_t wheel_force_N;      // λ
+    vec3_t wheel_acceleration; // φ̈
 } demand_t;
 
 static bool input_is_finite(const control_input_t *input)
@@ -26,59 +42,110 @@ static float scale_to_bound(vec3_t value, float bound)
     return largest > bound ? bound / largest : 1.0f;
 }
 
-/// κ at a twist ν that changes at the rate η.
-static mobility_t mobility_at(const control_params_t *params, vec3_t twist, vec3_t eta)
+/// c = ε (V + δ)/G0 with the V of the encoders, held back so that ρ stays below its bound in translation and in yaw.
+/// Theory (C9).
+static compliance_t slip_compliance(const control_params_t *params, vec3_t odometry)
 {
-    const float per_stiffness = 1.0f / params->robot->normalised_stiffness_N;
-    return (mobility_t){
-        .value = (kinematics_speed(twist, params->speed_length_m) + params->delta_mps) * per_stiffness,
-        .rate = kinematics_speed_rate(twist, eta, params->speed_length_m) * per_stiffness,
-    };
+    const mat3_t *mass_kg = &params->robot->slip_twist_of_accel;
+    const float translation = mass_kg->m[0][0] * params->law.damping_per_s.x;
+    const float yaw = mass_kg->m[2][2] * params->law.damping_per_s.z;
+    const float speed_mps = kinematics_speed(odometry, params->speed_length_m) + params->delta_mps;
+    const float wanted = params->floor.compliance_per_N * speed_mps;
+    const float most = params->series_ratio_max / (translation > yaw ? translation : yaw);
+    const bool held_back = wanted > most;
+    return (compliance_t){.mps_per_N = held_back ? most : wanted, .held_back = held_back};
 }
 
-/// N = 0: the wheels roll without slip, ν = v = v_odo.
-static demand_t demand_order0(const control_params_t *params, const tracking_t *tracking, vec3_t odometry)
+static vec3_t force_at(const step_t *step, vec3_t twist)
 {
-    const vec3_t eta = tracking_eta(params->robot, &params->gains, tracking, odometry);
-    return (demand_t){
-        .twist = odometry,
-        .eta = eta,
-        .wheel_force_N = manifold_force0(params->robot, odometry, eta),
-        .wheel_acceleration = mat3_apply(&params->robot->wheel_rate_of_twist, eta),
-    };
+    const control_params_t *params = step->params;
+    const vec3_t eta = tracking_eta(params->robot, &params->law, &step->tracking, twist);
+    return manifold_force(params->robot, twist, eta);
 }
 
-/// N = 1: the slip that order 0 predicts corrects the velocity, and the manifold's motion the torque.
-static demand_t demand_order1(const control_params_t *params, const tracking_t *tracking, vec3_t odometry)
+/// ν = v_odo − c Jr⁻¹ λ with the force that the floor will really be asked for. Theory (C5).
+static vec3_t twist_of_force(const step_t *step, vec3_t force_N)
 {
+    const float bounded = scale_to_bound(force_N, step->params->force_bound_N);
+    const vec3_t slip_twist = mat3_apply(&step->params->robot->twist_of_contact_speed, force_N);
+    return vec3_add_scaled(step->odometry, -step->compliance.mps_per_N * bounded, slip_twist);
+}
+
+/// ν to order N of the expansion: each round adds one power of ε. Theory (C5).
+static vec3_t twist_of_series(const step_t *step, int32_t order)
+{
+    vec3_t twist = step->odometry;
+    for (int32_t k = 0; k < order; k++) {
+        twist = twist_of_force(step, force_at(step, twist));
+    }
+    return twist;
+}
+
+/// ν of the series' limit: one Newton step from v_odo on ν + c Jr⁻¹ λ(ν) = v_odo, which is linear but for ω². Theory
+/// (C7).
+static vec3_t twist_of_limit(const step_t *step)
+{
+    const robot_t *robot = step->params->robot;
+    const mat3_t gradient = tracking_gradient(robot, &step->params->law, step->odometry);
+    const mat3_t system = mat3_identity_plus(step->compliance.mps_per_N, &robot->slip_twist_of_accel, &gradient);
+    const vec3_t residual = vec3_sub(twist_of_force(step, force_at(step, step->odometry)), step->odometry);
+    const vec3_t twist = vec3_add(step->odometry, mat3_solve(&system, residual));
+    return twist_of_force(step, force_at(step, twist));
+}
+
+/// ν from the slip that the forces of the past have made, on the traction curve. V is that of ν itself: each round of
+/// its fixed point leaves a share of the order of the slip ratio. Theory (O2).
+static vec3_t twist_of_observer(const step_t *step, vec3_t force_estimate_N)
+{
+    const control_params_t *params = step->params;
+    const vec3_t slip_ratio = floor_slip_ratios(&params->floor, force_estimate_N);
+    const vec3_t slip_twist = mat3_apply(&params->robot->twist_of_contact_speed, slip_ratio);
+    vec3_t twist = step->odometry;
+    for (int round = 0; round < OBSERVER_ROUNDS; round++) {
+        const float speed_mps = kinematics_speed(twist, params->speed_length_m) + params->delta_mps;
+        twist = vec3_add_scaled(step->odometry, -speed_mps, slip_twist);
+    }
+    return twist;
+}
+
+static vec3_t corrected_twist(const step_t *step, const control_state_t *state)
+{
+    if (step->params->order == CONTROL_OBSERVER) {
+        return twist_of_observer(step, state->force_estimate_N);
+    }
+    if (step->params->order == CONTROL_EXACT) {
+        return twist_of_limit(step);
+    }
+    return twist_of_series(step, step->params->order);
+}
+
+/// φ̈ = (Jr η − σ̇)/r with σ̇ = −c λ̇ − ċ λ. Theory (M5).
+static vec3_t wheel_acceleration(const step_t *step, vec3_t twist, vec3_t eta, vec3_t force_N)
+{
+    const control_params_t *params = step->params;
     const robot_t *robot = params->robot;
-    const float epsilon = params->epsilon_per_N;
-    const demand_t base = demand_order0(params, tracking, odometry);
-    const mobility_t base_mobility = mobility_at(params, odometry, base.eta);
-    // The floor feels the bounded force: that is what slips.
-    const vec3_t slipping_force =
-        vec3_scale(scale_to_bound(base.wheel_force_N, params->force_bound_N), base.wheel_force_N);
+    const vec3_t rolling = mat3_apply(&robot->wheel_rate_of_twist, eta);
+    if (params->order == 0) {
+        return rolling;
+    }
+    const vec3_t eta_rate = tracking_eta_rate(robot, &params->law, &step->tracking, twist, eta);
+    const vec3_t force_rate = manifold_force_rate(robot, twist, eta, eta_rate);
+    const float speed_rate = kinematics_speed_rate(twist, eta, params->speed_length_m);
+    const float c_rate = step->compliance.held_back ? 0.0f : params->floor.compliance_per_N * speed_rate;
+    const vec3_t slip_rate = vec3_add_scaled(vec3_scale(-step->compliance.mps_per_N, force_rate), -c_rate, force_N);
+    return vec3_add_scaled(rolling, -1.0f / robot->wheel_radius_m, slip_rate);
+}
 
-    // ν = v_odo + Jr⁻¹ Γ ε H0 (C5), v = ν − ε Jrᵀ H0 (2)
-    const vec3_t slip_twist = mat3_apply(&robot->twist_of_contact_speed, slipping_force);
-    const vec3_t twist = vec3_add_scaled(odometry, -epsilon * base_mobility.value, slip_twist);
-    const vec3_t base_H0 = manifold_of_force(robot, base_mobility.value, slipping_force);
-    const vec3_t v = vec3_add_scaled(twist, -epsilon, mat3_apply(&robot->body_force_of_wheels, base_H0));
-
-    const vec3_t eta = tracking_eta(robot, &params->gains, tracking, twist);
-    const vec3_t eta_rate = tracking_eta_rate(robot, &params->gains, tracking, twist, eta);
-    const mobility_t mobility = mobility_at(params, twist, eta);
-    const vec3_t H0 = manifold_of_force(robot, mobility.value, manifold_force0(robot, v, eta));
-    const vec3_t H0_rate = manifold_rate0(robot, mobility, v, eta, eta_rate);
-    // η is the ν̇ wanted, the recursion takes v̇ = ν̇ − ε Jrᵀ Ḣ0 (C6)
-    const vec3_t v_rate = vec3_add_scaled(eta, -epsilon, mat3_apply(&robot->body_force_of_wheels, H0_rate));
-    const vec3_t force0 = manifold_force0(robot, v, v_rate);
+static demand_t demand_at(const step_t *step, vec3_t twist)
+{
+    const robot_t *robot = step->params->robot;
+    const vec3_t eta = tracking_eta(robot, &step->params->law, &step->tracking, twist);
+    const vec3_t force_N = manifold_force(robot, twist, eta);
     return (demand_t){
         .twist = twist,
         .eta = eta,
-        .wheel_force_N = vec3_add_scaled(force0, epsilon, manifold_force1(robot, v, H0, H0_rate)),
-        .wheel_acceleration =
-            vec3_add_scaled(mat3_apply(&robot->wheel_rate_of_twist, v_rate), -epsilon * robot->wheel_radius_m, H0_rate),
+        .wheel_force_N = force_N,
+        .wheel_acceleration = wheel_acceleration(step, twist, eta, force_N),
     };
 }
 
@@ -87,34 +154,68 @@ static void bounded_torque(const control_params_t *params, const demand_t *deman
 {
     const robot_t *robot = params->robot;
     const float force_scale = scale_to_bound(demand->wheel_force_N, params->force_bound_N);
-    output->wheel_force_N = vec3_scale(force_scale, demand->wheel_force_N);
-    const vec3_t rolling = vec3_scale(robot->wheel_radius_m, output->wheel_force_N);
+    const vec3_t force = vec3_scale(force_scale, demand->wheel_force_N);
+    const vec3_t rolling = vec3_scale(robot->wheel_radius_m, force);
     const vec3_t torque = vec3_add_scaled(rolling, force_scale * robot->wheel_inertia_kgm2, demand->wheel_acceleration);
     const float torque_scale = scale_to_bound(torque, params->torque_bound_Nm);
     output->torque_Nm = vec3_scale(torque_scale, torque);
+    output->wheel_force_N = vec3_scale(torque_scale, force);
     output->force_bounded = force_scale < 1.0f;
     output->torque_bounded = torque_scale < 1.0f;
 }
 
-bool control_step(const control_params_t *params, const control_input_t *input, control_output_t *output)
+/// How far the slip gets in one period on its way to what the force makes of it: 1 − e^(−T/τ), τ the time constant of
+/// the boundary layer (18) and of any lag besides; e^x to its cubic term. Theory (O1).
+static float observer_gain(const control_params_t *params, float speed_mps, float period_s)
+{
+    const float layer_s = params->floor.compliance_per_N * speed_mps / params->robot->layer_rate_m_per_Ns2;
+    const float tau_s = layer_s + params->observer_lag_s;
+    const float x = period_s / (tau_s + 1.0e-3f * period_s); // no lag at all is a lag far below a period
+    return 1.0f - 1.0f / (1.0f + x * (1.0f + x * (0.5f + x * (1.0f / 6.0f))));
+}
+
+/// The state for the next tick: λ̂ follows the forces asked for (O1), the pose the corrected twist (K5).
+static control_state_t next_state(const control_params_t *params, const control_state_t *state, pose_sum_t pose,
+                                  const control_output_t *output)
+{
+    const vec3_t lag = vec3_sub(output->wheel_force_N, state->force_estimate_N);
+    const float period_s = (float)params->robot->control_period_us * 1.0e-6f;
+    const float speed_mps = kinematics_speed(output->twist, params->speed_length_m) + params->delta_mps;
+    const vec3_t acceleration = manifold_acceleration(params->robot, output->twist, output->wheel_force_N);
+    return (control_state_t){
+        .force_estimate_N = vec3_add_scaled(state->force_estimate_N, observer_gain(params, speed_mps, period_s), lag),
+        .pose = kinematics_moved_pose(pose, vec3_add_scaled(output->twist, 0.5f * period_s, acceleration), period_s),
+    };
+}
+
+bool control_step(const control_params_t *params, control_state_t *state, const control_input_t *input,
+                  control_output_t *output)
 {
     *output = (control_output_t){0};
-    if (!input_is_finite(input)) {
+    const pose_sum_t pose = input->pose_is_new ? (pose_sum_t){.value = input->pose} : state->pose;
+    if (!input_is_finite(input) || !vec3_is_finite(pose.value)) {
         return false;
     }
-    const tracking_t tracking = tracking_from(params->robot, input->pose, &input->reference);
     const vec3_t odometry = kinematics_odometry(params->robot, input->wheel_speed_rad_per_s);
-    const demand_t demand =
-        params->order == 0 ? demand_order0(params, &tracking, odometry) : demand_order1(params, &tracking, odometry);
+    const step_t step = {
+        .params = params,
+        .tracking = tracking_from(params->robot, pose.value, &input->reference),
+        .odometry = odometry,
+        .compliance = slip_compliance(params, odometry),
+    };
+    const demand_t demand = demand_at(&step, corrected_twist(&step, state));
     bounded_torque(params, &demand, output);
-    const mobility_t mobility = mobility_at(params, demand.twist, demand.eta);
-    output->mu_mps = manifold_of_force(params->robot, mobility.value, output->wheel_force_N);
+    const float mobility = (kinematics_speed(demand.twist, params->speed_length_m) + params->delta_mps) /
+                           params->robot->normalised_stiffness_N;
+    output->mu_mps = manifold_of_force(params->robot, mobility, output->wheel_force_N);
     output->twist = demand.twist;
     output->eta = demand.eta;
-    output->error = tracking.error;
-    if (!vec3_is_finite(output->torque_Nm) || !vec3_is_finite(output->mu_mps)) {
+    output->error = step.tracking.error;
+    const control_state_t next = next_state(params, state, pose, output);
+    if (!vec3_is_finite(output->torque_Nm) || !vec3_is_finite(output->mu_mps) || !vec3_is_finite(next.pose.value)) {
         *output = (control_output_t){0};
         return false;
     }
+    *state = next;
     return true;
 }

@@ -1,31 +1,47 @@
 // SPDX-License-Identifier: MIT
 // One control step of the paper: wheel speeds and pose in, motor torques out.
 //
-//   odometry → slip from the manifold → body velocity → η (33) → manifold of order N (27)–(29) → bounds → torque (22)
+//   odometry → slip from the manifold or the observer → body velocity → η (33) → wheel forces (28) → bounds → torque
+//   (32)
 //
-// Pure: no clock, no bus, no state. Frames: pose and reference in the world, twists in the body, forces and torques a
-// wheel.
+// Pure: no clock, no bus; what is remembered is in control_state_t. Frames: pose and reference in the world, twists in
+// the body, forces and torques a wheel.
 #ifndef OMNIBOT_CONTROL_CONTROL_H
 #define OMNIBOT_CONTROL_CONTROL_H
 
+#include "floor.h"
+#include "kinematics.h"
 #include "robot.h"
 #include "tracking.h"
 #include "trajectory.h"
 
-enum { CONTROL_ORDER_MAX = 1 };
+/// How the slip is predicted: order N of the expansion (22), its limit, or the observer.
+enum {
+    CONTROL_ORDER_MAX = 3,
+    CONTROL_EXACT = 4,    // N → ∞: a linear solve
+    CONTROL_OBSERVER = 5, // from the forces of the past, on the traction curve itself
+};
 
 typedef struct {
     const robot_t *robot;
-    int32_t order;          // N of (22), 0 … CONTROL_ORDER_MAX
-    float epsilon_per_N;    // ε
+    int32_t order;          // 0 … CONTROL_ORDER_MAX, CONTROL_EXACT or CONTROL_OBSERVER
+    floor_t floor;          // ε and the traction curve
     float delta_mps;        // δ
     float speed_length_m;   // ℓ of (14)
-    tracking_gains_t gains; // K1, K2
+    tracking_law_t law;     // output, K1, K2
+    float series_ratio_max; // ρ is held below it: past one half the sampled series is unstable
+    float observer_lag_s;   // Tf, on top of the boundary layer's own
     float force_bound_N;    // no wheel is asked for more
     float torque_bound_Nm;  // no motor is asked for more
 } control_params_t;
 
 typedef struct {
+    vec3_t force_estimate_N; // λ̂, the observer's
+    pose_sum_t pose;         // dead-reckoned to the next tick
+} control_state_t;
+
+typedef struct {
+    bool pose_is_new;             // else the state's pose is taken
     vec3_t pose;                  // x1, x2 (m), θ (rad, |θ| ≤ 100)
     vec3_t wheel_speed_rad_per_s; // φ̇
     reference_t reference;        // yref and its derivatives
@@ -33,17 +49,18 @@ typedef struct {
 
 typedef struct {
     vec3_t torque_Nm;
-    vec3_t mu_mps;        // µ of (2): Hε of order N
-    vec3_t wheel_force_N; // λ asked of the floor, after the bound
-    vec3_t twist;         // ν, corrected by the manifold
+    vec3_t mu_mps;        // µ of (2): Hε
+    vec3_t wheel_force_N; // λ asked of the floor, after the bounds
+    vec3_t twist;         // ν, corrected for slip
     vec3_t eta;           // η of (33)
     vec3_t error;         // Rᵀ(y − yref) in the body frame
     bool force_bounded;
     bool torque_bounded;
 } control_output_t;
 
-/// One step. Returns false, with an output of zeros, when an input or a result is not finite. The bounds scale all
-/// three wheels alike: the direction of the force on the body is kept, its size is not.
-bool control_step(const control_params_t *params, const control_input_t *input, control_output_t *output);
+/// One step. Returns false, with an output of zeros and the state as it was, when an input or a result is not finite.
+/// The bounds scale all three wheels alike: the direction of the force on the body is kept, its size is not.
+bool control_step(const control_params_t *params, control_state_t *state, const control_input_t *input,
+                  control_output_t *output);
 
 #endif

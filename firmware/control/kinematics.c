@@ -22,6 +22,16 @@ vec3_t kinematics_twist_of_point(const robot_t *robot, vec3_t point_twist)
     return (vec3_t){point_twist.x + robot->tracked_point_offset_m * point_twist.z, point_twist.y, point_twist.z};
 }
 
+pose_sum_t kinematics_moved_pose(pose_sum_t pose, vec3_t twist, float time_s)
+{
+    const vec3_t way = vec3_scale(time_s, twist);
+    const rotation_t heading = rotation_of(pose.value.z + 0.5f * way.z);
+    const vec3_t step = vec3_add(rotation_to_world(heading, way), pose.rest);
+    const vec3_t sum = vec3_add(pose.value, step);
+    const vec3_t rest = vec3_sub(step, vec3_sub(sum, pose.value));
+    return (pose_sum_t){.value = {sum.x, sum.y, angle_wrap(sum.z)}, .rest = rest};
+}
+
 float kinematics_speed(vec3_t twist, float speed_length_m)
 {
     const float turn = speed_length_m * twist.z;

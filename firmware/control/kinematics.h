@@ -18,6 +18,17 @@ vec3_t kinematics_point_twist(const robot_t *robot, vec3_t twist);
 /// T⁻¹ of the same.
 vec3_t kinematics_twist_of_point(const robot_t *robot, vec3_t point_twist);
 
+/// A pose that many small steps are added to: what rounding took from the sum is kept and added with the next step. A
+/// single float would lose up to 0.1 µm a tick at 2 m, always the same way at a steady speed: millimetres a minute.
+typedef struct {
+    vec3_t value; // x1, x2 (m), θ (rad)
+    vec3_t rest;
+} pose_sum_t;
+
+/// Adds the way of a time at a twist: the position moves along the heading halfway, the heading is wrapped. Theory
+/// (K5).
+pose_sum_t kinematics_moved_pose(pose_sum_t pose, vec3_t twist, float time_s);
+
 /// Speed V = (νx² + νy² + (ℓ ω)²)^½ in m/s. Paper (14).
 float kinematics_speed(vec3_t twist, float speed_length_m);
 

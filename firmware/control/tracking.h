@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
-// The auxiliary control law (33): the acceleration that makes the tracking error obey ÿ̃ + K2 ẏ̃ + K1 ỹ = 0, for the
-// output y = (p1, p2, θ). All in the body frame, where ∆ is the constant T of kinematics.h.
+// The auxiliary control law (33): the acceleration that makes the tracking error obey ÿ̃ + K2 ẏ̃ + K1 ỹ = 0. All in the
+// body frame, where ∆ is constant (theory, 'The control law').
 #ifndef OMNIBOT_CONTROL_TRACKING_H
 #define OMNIBOT_CONTROL_TRACKING_H
 
@@ -8,11 +8,19 @@
 #include "trajectory.h"
 #include "trigonometry.h"
 
-/// Diagonals of K1 and K2. The two planar entries must be equal: only then do the gains look the same from the body.
+/// What is to follow the reference.
+typedef enum {
+    OUTPUT_POSTURE, // y = (p1, p2, θ): ∆ is 3×3
+    OUTPUT_POINT,   // y = (p1, p2), the paper's: ∆ is 2×3, η from ∆⁺; nothing holds the heading
+} tracking_output_t;
+
+/// The output and the diagonals of K1 and K2. The two planar entries must be equal: only then do the gains look the
+/// same from the body.
 typedef struct {
+    tracking_output_t output;
     vec3_t stiffness_per_s2; // K1
     vec3_t damping_per_s;    // K2
-} tracking_gains_t;
+} tracking_law_t;
 
 /// Tracking error and reference derivatives seen from the body: what (33) needs beside the twist.
 typedef struct {
@@ -25,10 +33,13 @@ typedef struct {
 tracking_t tracking_from(const robot_t *robot, vec3_t pose, const reference_t *reference);
 
 /// η of (33): the body acceleration ν̇ that the law asks for at a twist ν. Theory (C2).
-vec3_t tracking_eta(const robot_t *robot, const tracking_gains_t *gains, const tracking_t *tracking, vec3_t twist);
+vec3_t tracking_eta(const robot_t *robot, const tracking_law_t *law, const tracking_t *tracking, vec3_t twist);
 
 /// η̇ along the closed loop, where ν̇ = η. Theory (C4).
-vec3_t tracking_eta_rate(const robot_t *robot, const tracking_gains_t *gains, const tracking_t *tracking, vec3_t twist,
+vec3_t tracking_eta_rate(const robot_t *robot, const tracking_law_t *law, const tracking_t *tracking, vec3_t twist,
                          vec3_t eta);
+
+/// ∂(η + ω×ν)/∂ν at a twist: how the specific force asked for changes with the twist believed. Theory (C7).
+mat3_t tracking_gradient(const robot_t *robot, const tracking_law_t *law, vec3_t twist);
 
 #endif

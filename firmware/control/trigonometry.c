@@ -15,10 +15,11 @@
 #define TURN_LOW 1.93530717958647693e-3f
 #define TURNS_PER_RAD 0.159154943f
 
-/// Nearest whole number, for |value| well below 2^31.
+/// Nearest whole number; 0 for what is not a number or too large to have one.
 static int32_t nearest(float value)
 {
-    return (int32_t)(value + (value < 0.0f ? -0.5f : 0.5f));
+    const bool fits = fabsf(value) < 16777216.0f; // NaN does not
+    return fits ? (int32_t)(value + (value < 0.0f ? -0.5f : 0.5f)) : 0;
 }
 
 rotation_t rotation_of(float angle_rad)

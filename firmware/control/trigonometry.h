@@ -22,4 +22,10 @@ static inline vec3_t rotation_to_body(rotation_t r, vec3_t world)
     return (vec3_t){r.cosine * world.x + r.sine * world.y, r.cosine * world.y - r.sine * world.x, world.z};
 }
 
+/// R(angle) ⊕ 1: body to world.
+static inline vec3_t rotation_to_world(rotation_t r, vec3_t body)
+{
+    return (vec3_t){r.cosine * body.x - r.sine * body.y, r.sine * body.x + r.cosine * body.y, body.z};
+}
+
 #endif

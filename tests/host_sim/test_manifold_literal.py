@@ -1,8 +1,12 @@
 """The controller in C against the paper's own matrices, built literally in its coordinates and in double.
 
-Nothing here uses the compact form of the theory: A and S of (1) and (2) as functions of the heading, the 9x3 and 3x3
-matrices of (9) and (10) from M q'' = B u + A lambda, then (27), (28), (29), (32) and (33) as they are printed, with the
-errata corrected. Time derivatives are complex steps along the closed loop, exact to rounding.
+Nothing literal here uses the compact form of the theory: A and S of (1) and (2) as functions of the heading, the 9x3
+and 3x3 matrices of (9) and (10) from M q'' = B u + A lambda, then (27), (28), (29), (32) and (33) as they are printed,
+with the errata corrected; time derivatives are complex steps along the closed loop, exact to rounding.
+
+To every order, the formal series of (22) comes from truncated polynomials in epsilon and time (Jet), put into
+M q'' = B u + A lambda along the closed loop. The firmware's resummed form, written once more in double, is held against
+that by the slope of the difference in epsilon; the firmware itself against the double by single precision.
 """
 
 import ctypes
@@ -211,26 +215,43 @@ class Vec3(ctypes.Structure):
     _fields_ = [(name, ctypes.c_float) for name in "xyz"]
 
 
-class Mobility(ctypes.Structure):
-    _fields_ = [("value", ctypes.c_float), ("rate", ctypes.c_float)]
+class Floor(ctypes.Structure):
+    _fields_ = [
+        ("curve", ctypes.c_void_p),
+        ("linear", ctypes.c_bool),
+        ("compliance_per_N", ctypes.c_float),
+        ("friction_limit_N", ctypes.c_float),
+    ]
+
+
+class Law(ctypes.Structure):
+    _fields_ = [("output", ctypes.c_int), ("stiffness_per_s2", Vec3), ("damping_per_s", Vec3)]
 
 
 class ControlParams(ctypes.Structure):
     _fields_ = [
         ("robot", ctypes.c_void_p),
         ("order", ctypes.c_int32),
-        ("epsilon_per_N", ctypes.c_float),
+        ("floor", Floor),
         ("delta_mps", ctypes.c_float),
         ("speed_length_m", ctypes.c_float),
-        ("stiffness_per_s2", Vec3),
-        ("damping_per_s", Vec3),
+        ("law", Law),
+        ("series_ratio_max", ctypes.c_float),
+        ("observer_lag_s", ctypes.c_float),
         ("force_bound_N", ctypes.c_float),
         ("torque_bound_Nm", ctypes.c_float),
     ]
 
 
+class ControlState(ctypes.Structure):
+    _fields_ = [("force_estimate_N", Vec3), ("pose", Vec3), ("pose_rest", Vec3)]
+
+
 class ControlInput(ctypes.Structure):
-    _fields_ = [(name, Vec3) for name in ("pose", "wheel_speed", "position", "velocity", "acceleration", "jerk")]
+    _fields_ = [
+        ("pose_is_new", ctypes.c_bool),
+        *((name, Vec3) for name in ("pose", "wheel_speed", "position", "velocity", "acceleration", "jerk")),
+    ]
 
 
 class ControlOutput(ctypes.Structure):
@@ -267,15 +288,16 @@ class Firmware:
             return call
 
         self.of_force = function("manifold_of_force", number, Vec3)
-        self.force0 = function("manifold_force0", Vec3, Vec3)
-        self.rate0 = function("manifold_rate0", Mobility, Vec3, Vec3, Vec3)
-        self.force1 = function("manifold_force1", Vec3, Vec3, Vec3)
+        self.force = function("manifold_force", Vec3, Vec3)
+        self.force_rate = function("manifold_force_rate", Vec3, Vec3, Vec3)
         self._step = library.control_step
-        self._step.argtypes, self._step.restype = [pointer, pointer, pointer], ctypes.c_bool
+        self._step.argtypes, self._step.restype = [pointer, pointer, pointer, pointer], ctypes.c_bool
 
-    def step(self, params: ControlParams, values: ControlInput) -> ControlOutput:
-        output = ControlOutput()
-        assert self._step(ctypes.byref(params), ctypes.byref(values), ctypes.byref(output))
+    def step(self, params: ControlParams, values: ControlInput, force_estimate: Array | None = None) -> ControlOutput:
+        output, state = ControlOutput(), ControlState()
+        if force_estimate is not None:
+            state.force_estimate_N = to_c(force_estimate)
+        assert self._step(*map(ctypes.byref, (params, state, values, output)))
         return output
 
 
@@ -357,7 +379,7 @@ def test_model_conserves_what_m_says(states: list[State]) -> None:
 
 def test_u0_of_the_firmware_is_that_of_the_paper(firmware: Firmware, states: list[State]) -> None:
     for state in states:
-        rolling = R * firmware.force0(state.v, state.eta)
+        rolling = R * firmware.force(state.v, state.eta)
         spinning = WHEEL_INERTIA * matrix_s(state.theta)[3:] @ state.eta
 
         assert_close(rolling + spinning, control_u0(state.theta, state.v, state.eta), rolling, spinning)
@@ -380,28 +402,33 @@ def test_u0_linearises_the_literal_model(states: list[State]) -> None:
 
 def test_h0_of_the_firmware_is_that_of_the_paper(firmware: Firmware, states: list[State]) -> None:
     for state in states:
-        force0 = firmware.force0(state.v, state.eta)
-        assert_close(firmware.of_force(state.mobility, force0), state.h0)
+        force = firmware.force(state.v, state.eta)
+        assert_close(firmware.of_force(state.mobility, force), state.h0)
+
+
+def h0_rate_of(firmware: Firmware, state: State) -> Array:
+    """H0' = -inv(Gamma) (kappa' lambda + kappa lambda') by the firmware's functions."""
+    force = firmware.force(state.v, state.eta)
+    force_rate = firmware.force_rate(state.v, state.eta, state.eta_rate)
+    return firmware.of_force(state.mobility_rate, force) + firmware.of_force(state.mobility, force_rate)
 
 
 def test_h0_rate_of_the_firmware_is_that_along_the_closed_loop(firmware: Firmware, states: list[State]) -> None:
     for state in states:
-        mobility = Mobility(state.mobility, state.mobility_rate)
-        rate = firmware.rate0(mobility, state.v, state.eta, state.eta_rate)
-
-        assert_close(rate, state.h0_rate)
+        assert_close(h0_rate_of(firmware, state), state.h0_rate)
 
 
 def test_h1_and_u1_of_the_firmware_are_those_of_the_paper(firmware: Firmware, states: list[State]) -> None:
+    body_of_w = matrix_a(0.0)[:3]
     for state in states:
         h0, h0_rate = state.h0, state.h0_rate
         h1, u1 = corrections(state.theta, state.v, state.mobility, h0, h0_rate)
 
-        # The firmware's chain from the same state: nothing literal goes in.
-        ours_h0 = firmware.of_force(state.mobility, firmware.force0(state.v, state.eta))
-        mobility = Mobility(state.mobility, state.mobility_rate)
-        ours_rate = firmware.rate0(mobility, state.v, state.eta, state.eta_rate)
-        force1 = firmware.force1(state.v, ours_h0, ours_rate)
+        # The firmware's chain from the same state: nothing literal goes in. The order epsilon of lambda(nu, nu') is its
+        # derivative along Jr' H0, Jr' H0', as lambda' is along nu', nu''.
+        ours_h0 = firmware.of_force(state.mobility, firmware.force(state.v, state.eta))
+        ours_rate = h0_rate_of(firmware, state)
+        force1 = firmware.force_rate(state.v, body_of_w @ ours_h0, body_of_w @ ours_rate)
         ours_h1 = firmware.of_force(state.mobility, force1)
         ours_u1 = R * force1 - R * WHEEL_INERTIA * ours_rate
 
@@ -563,32 +590,390 @@ def test_error_of_the_literal_law_is_of_the_next_order_in_epsilon(order: int) ->
         assert errors[0] / errors[1] == pytest.approx(2.0 ** (order + 1), rel=0.05)
 
 
-@pytest.mark.parametrize("order", [0, 1])
-def test_whole_step_without_bounds_is_the_literal_law(firmware: Firmware, order: int) -> None:
+# ------------------------------------------------------------------- the series of (22) to every order, literally
+
+
+DEGREE = 3  # of epsilon, and of time: each power of epsilon takes one derivative more
+_STRIDE = 2 * DEGREE + 1  # a polynomial in two variables as one in one: products cannot spill over
+
+
+class Jet:
+    """A polynomial in epsilon and time, truncated at DEGREE in each; numpy's functions work on arrays of them."""
+
+    def __init__(self, coefficients: Array) -> None:
+        self.c = coefficients  # by power of epsilon and of time
+
+    @staticmethod
+    def of(value: "Jet | float") -> "Jet":
+        if isinstance(value, Jet):
+            return value
+        coefficients = np.zeros((DEGREE + 1, DEGREE + 1))
+        coefficients[0, 0] = value
+        return Jet(coefficients)
+
+    def __add__(self, other: "Jet | float") -> "Jet":
+        return Jet(self.c + Jet.of(other).c)
+
+    def __neg__(self) -> "Jet":
+        return Jet(-self.c)
+
+    def __sub__(self, other: "Jet | float") -> "Jet":
+        return Jet(self.c - Jet.of(other).c)
+
+    def __rsub__(self, other: "Jet | float") -> "Jet":
+        return Jet(Jet.of(other).c - self.c)
+
+    def __mul__(self, other: "Jet | float") -> "Jet":
+        if isinstance(other, np.ndarray):
+            return NotImplemented  # it multiplies its entries
+        if not isinstance(other, Jet):
+            return Jet(self.c * other)
+        flat = []
+        for factor in (self, other):
+            wide = np.zeros((DEGREE + 1, _STRIDE))
+            wide[:, : DEGREE + 1] = factor.c
+            flat.append(wide.ravel())
+        product = np.convolve(*flat)[: (DEGREE + 1) * _STRIDE]
+        return Jet(product.reshape(DEGREE + 1, _STRIDE)[:, : DEGREE + 1])
+
+    __radd__, __rmul__ = __add__, __mul__
+
+    def series(self, derivatives: list[float]) -> "Jet":
+        """Return f of this by Taylor's series, given f and its derivatives at the constant term."""
+        small = self - self.c[0, 0]
+        result, power, factorial = Jet.of(0.0), Jet.of(1.0), 1.0
+        for k, derivative in enumerate(derivatives):
+            result = result + power * (derivative / factorial)
+            power, factorial = power * small, factorial * (k + 1)
+        return result
+
+    def sin(self) -> "Jet":
+        x = self.c[0, 0]
+        return self.series([float(np.sin(x + 0.5 * np.pi * k)) for k in range(2 * DEGREE + 1)])
+
+    def cos(self) -> "Jet":
+        return (self + 0.5 * np.pi).sin()
+
+    def sqrt(self) -> "Jet":
+        x, derivatives, factor = self.c[0, 0], [], 1.0
+        for k in range(2 * DEGREE + 1):
+            derivatives.append(factor * x ** (0.5 - k))
+            factor *= 0.5 - k
+        return self.series(derivatives)
+
+    def __pow__(self, power: int) -> "Jet":
+        assert power == 2
+        return self * self
+
+    def rate(self) -> "Jet":
+        """Return the time derivative; its highest power is not known and set to 0."""
+        rate = np.zeros_like(self.c)
+        rate[:, :-1] = self.c[:, 1:] * np.arange(1, DEGREE + 1)
+        return Jet(rate)
+
+    def integral(self, start: "Jet") -> "Jet":
+        """Return the time integral that begins at the start's value."""
+        result = np.zeros_like(self.c)
+        result[:, 1:] = self.c[:, :-1] / np.arange(1, DEGREE + 1)
+        result[:, 0] = start.c[:, 0]
+        return Jet(result)
+
+    def times_epsilon(self) -> "Jet":
+        result = np.zeros_like(self.c)
+        result[1:] = self.c[:-1]
+        return Jet(result)
+
+
+def each(function: Callable[..., Jet], *vectors: Array) -> Array:
+    return np.array([function(*entries) for entries in zip(*vectors, strict=True)], dtype=object)
+
+
+def jets(values: Array) -> Array:
+    return each(Jet.of, values)
+
+
+def reference_jets(reference: Array, snap: Array) -> Array:
+    """The reference and its first two derivatives by time, shape (3, 3): derivatives beyond the jerk need not be 0."""
+    derivatives = np.vstack([reference, snap[None]])
+    factorial = np.array([1.0, 1.0, 2.0, 6.0, 24.0])
+    rows = []
+    for order in range(3):
+        row = []
+        for axis in range(3):
+            coefficients = np.zeros((DEGREE + 1, DEGREE + 1))
+            known = derivatives[order:, axis][: DEGREE + 1]
+            coefficients[0, : len(known)] = known / factorial[: len(known)]
+            row.append(Jet(coefficients))
+        rows.append(row)
+    return np.array(rows, dtype=object)
+
+
+def law_of_jets(pose: Array, twist: Array, reference: Array) -> Array:
+    """Eta of (33). Delta = R T with a constant T: its inverse is that of T after R turned back."""
+    y_rate = delta_matrix(pose[2]) @ twist
+    wanted = reference[2] - DAMPING_GAIN * (y_rate - reference[1]) - STIFFNESS_GAIN * (output_map(pose) - reference[0])
+    right = wanted - delta_by_heading(pose[2]) @ twist * twist[2]
+    return np.linalg.inv(delta_matrix(0.0)) @ (matrix_s(pose[2])[:3].T @ right)
+
+
+@dataclass(frozen=True)
+class Series:
+    """Coefficients by power of epsilon at time 0, each of shape (DEGREE + 1, 3)."""
+
+    torque: Array
+    mu: Array
+    force: Array
+    twist: Array
+
+    def at(self, epsilon: float, order: int) -> tuple[Array, Array, Array, Array]:
+        """Torque, mu, wheel forces and twist up to a power of epsilon."""
+        powers = epsilon ** np.arange(order + 1)
+        torque, mu, force, twist = (powers @ c[: order + 1] for c in (self.torque, self.mu, self.force, self.twist))
+        return torque, mu, force, twist
+
+
+def literal_series(scene: Scene, *, speed_frozen: bool, snap: Array | None = None) -> Series:
+    """H and u of (22) along the closed loop, from M q'' = B u + A lambda alone.
+
+    A round of the iteration knows mu to one power of epsilon more: epsilon mu' is all that it takes from the last one.
+
+    Parameters
+    ----------
+    scene
+        State and reference; its epsilon is not looked at.
+    speed_frozen
+        V is that of the encoders and grows as that of the body does; else V is that of the body.
+    snap
+        Fourth derivative of the reference.
+    """
+    reference = reference_jets(scene.reference, np.zeros(3) if snap is None else snap)
+    wheels_of_v, wheels_of_w = matrix_s(0.0)[3:], matrix_a(0.0)[3:]
+    body_of_w, gamma = matrix_a(0.0)[:3], matrix_a(0.0).T @ matrix_a(0.0)
+    odometry = np.linalg.solve(wheels_of_v, scene.wheel_speed)
+    speed_odo = float(speed(odometry, scene.length).real)
+    start, wheel_speed = jets(scene.pose), jets(scene.wheel_speed)
+    pose, mu = start, jets(np.zeros(3))
+    v_rate = jets(np.zeros(3))
+    last: list[Array] = []
+    result: list[Array] = []
+    for _ in range(2 * DEGREE + 4):
+        w = each(Jet.times_epsilon, mu)
+        w_rate = each(lambda entry: entry.rate().times_epsilon(), mu)
+        v = each(Jet.integral, v_rate, np.linalg.inv(wheels_of_v) @ (wheel_speed - wheels_of_w @ w))
+        s, a = matrix_s(pose[2]), matrix_a(pose[2])
+        q_rate = s @ v + a @ w
+        pose = each(Jet.integral, q_rate[:3], start)
+        twist = v + body_of_w @ w
+        v_rate = law_of_jets(pose, twist, reference) - body_of_w @ w_rate
+        moving = (by_heading_of_jets(matrix_s, pose[2]) @ v + by_heading_of_jets(matrix_a, pose[2]) @ w) * q_rate[2]
+        inertia = MASS @ (s @ v_rate + a @ w_rate + moving)
+        torque = np.linalg.inv((matrix_s(0.0).T @ INPUT).astype(float)) @ (s.T @ inertia)
+        force = np.linalg.inv(gamma) @ (a.T @ (inertia - INPUT @ torque))
+        v_speed = speed(twist, scene.length)
+        if speed_frozen:
+            grown = np.zeros((DEGREE + 1, DEGREE + 1))
+            grown[:, 1] = v_speed.c[:, 1]
+            grown[0, 0] = speed_odo
+            v_speed = Jet(grown)
+        mu = np.linalg.inv(gamma) @ force * (v_speed + scene.delta) * (-1.0 / STIFFNESS)
+        last, result = result, [np.array([entry.c[:, 0] for entry in part]).T for part in (torque, mu, force, twist)]
+    for before, now in zip(last, result, strict=True):
+        np.testing.assert_allclose(before, now, rtol=1e-9, atol=1e-9 * np.abs(now).max())
+    return Series(*result)
+
+
+def by_heading_of_jets(matrix: Callable[[Any], Array], theta: Jet) -> Array:
+    derivative = matrix(theta + 0.5 * np.pi)
+    derivative[2:] = 0.0
+    return derivative
+
+
+# --------------------------------------------------------------------------------- the firmware's step, in double
+
+
+ORDERS = (0, 1, 2, 3)
+EXACT, OBSERVER = 4, 5
+
+
+def wheel_force(scene: Scene, twist: Array) -> tuple[Array, Array]:
+    """Lambda and eta at a twist: Newton's law of the body, M (nu' + omega x nu) = Jr' lambda."""
+    eta = law(scene.pose, twist, scene.reference)
+    turning = np.array([-twist[2] * twist[1], twist[2] * twist[0], 0.0])
+    return np.linalg.solve(matrix_a(0.0)[:3], np.diag(ROBOT.Mo) @ (eta + turning)), eta
+
+
+def resummed_step(
+    scene: Scene, order: int, *, ratio_max: float = np.inf, force_estimate: Array | None = None
+) -> tuple[Array, Array, Array, Array]:
+    """Torque, mu, wheel forces and twist as the firmware finds them, without bounds."""
+    contact = matrix_a(0.0)[:3].T  # Jr
+    odometry = np.linalg.solve(matrix_s(0.0)[3:], scene.wheel_speed)
+    most = ratio_max * 1.5 / (ROBOT.Mo[0] * DAMPING_GAIN[0])
+    c = min(scene.epsilon * float(np.real(speed(odometry, scene.length) + scene.delta)) / STIFFNESS, most)
+
+    def corrected(twist: Array) -> Array:
+        return odometry - c * np.linalg.solve(contact, wheel_force(scene, twist)[0])
+
+    twist = odometry
+    if order == OBSERVER:
+        assert force_estimate is not None
+        for _ in range(3):
+            slip = (speed(twist, scene.length) + scene.delta) * scene.epsilon / STIFFNESS * force_estimate
+            twist = np.real(odometry - np.linalg.solve(contact, slip))
+    else:
+        if order == EXACT:
+            # One Newton step by a complex-step Jacobian, then the round that all orders end with.
+            columns = [np.imag(corrected(twist + 1j * STEP * axis)) / STEP for axis in np.eye(3)]
+            twist = twist + np.linalg.solve(np.eye(3) - np.array(columns).T, corrected(twist) - twist)
+        for _ in range(1 if order == EXACT else order):
+            twist = corrected(twist)
+    force, eta = wheel_force(scene, twist)
+    wheel_rate = contact @ eta / R
+    if order > 0:
+        step = 1j * STEP
+        eta_rate = law_rate(scene.pose, twist, scene.reference, eta)
+        turning = np.array([-twist[2] * eta[1] - eta[2] * twist[1], twist[2] * eta[0] + eta[2] * twist[0], 0.0])
+        force_rate = np.linalg.solve(contact.T, np.diag(ROBOT.Mo) @ (eta_rate + turning))
+        speed_rate = np.imag(speed(twist + step * eta, scene.length)) / STEP
+        wheel_rate = wheel_rate + (c * force_rate + scene.epsilon / STIFFNESS * speed_rate * force) / R
+    gamma = contact @ contact.T + R**2 * np.eye(3)
+    mobility = float(np.real(speed(twist, scene.length) + scene.delta)) / STIFFNESS
+    return R * force + WHEEL_INERTIA * wheel_rate, -mobility * np.linalg.solve(gamma, force), force, twist
+
+
+def firmware_params(firmware: Firmware, scene: Scene, order: int) -> ControlParams:
+    return ControlParams(
+        robot=firmware.robot,
+        order=order,
+        floor=Floor(None, True, scene.epsilon / STIFFNESS, 5.0),
+        delta_mps=scene.delta,
+        speed_length_m=scene.length,
+        law=Law(0, to_c(STIFFNESS_GAIN), to_c(DAMPING_GAIN)),
+        series_ratio_max=1e9,
+        observer_lag_s=0.0,
+        force_bound_N=1e9,
+        torque_bound_Nm=1e9,
+    )
+
+
+@pytest.mark.parametrize("order", [*ORDERS, EXACT, OBSERVER])
+def test_whole_step_without_bounds_is_the_resummed_form(firmware: Firmware, order: int) -> None:
     corrected = 0.0
     for scene in random_scenes():
-        params = ControlParams(
-            robot=firmware.robot,
-            order=order,
-            epsilon_per_N=scene.epsilon,
-            delta_mps=scene.delta,
-            speed_length_m=scene.length,
-            stiffness_per_s2=to_c(STIFFNESS_GAIN),
-            damping_per_s=to_c(DAMPING_GAIN),
-            force_bound_N=1e9,
-            torque_bound_Nm=1e9,
-        )
-        values = ControlInput(to_c(scene.pose), to_c(scene.wheel_speed), *map(to_c, scene.reference))
+        force_estimate = as_single(resummed_step(scene, 0)[2]) if order == OBSERVER else None
+        values = ControlInput(True, to_c(scene.pose), to_c(scene.wheel_speed), *map(to_c, scene.reference))
 
-        output = firmware.step(params, values)
+        output = firmware.step(firmware_params(firmware, scene, order), values, force_estimate)
 
-        torque, mu, twist, eta = literal_step(scene, order)
+        torque, mu, force, twist = resummed_step(scene, order, force_estimate=force_estimate)
         assert not output.force_bounded
         assert not output.torque_bounded
         assert_close(from_c(output.twist), twist)
-        # Eta is a sum of terms up to 23 * 2 + 70 * 0.2, its rate of 23 * eta: absolute errors grow accordingly.
-        assert_close(from_c(output.eta), eta, DAMPING_GAIN * twist, tolerance=2e-6)
-        assert_close(from_c(output.torque_Nm), torque)
-        assert_close(from_c(output.mu_mps), mu)
-        corrected = max(corrected, float(np.max(np.abs(torque - literal_step(scene, 0)[0])) / np.max(np.abs(torque))))
-    assert (corrected > 0.1) == (order == 1)  # the scenes are such that the corrections are seen
+        # Eta is a sum of terms up to 23 * 2 + 70 * 0.2: absolute errors grow accordingly.
+        eta = law(scene.pose, twist, scene.reference)
+        assert_close(from_c(output.eta), eta, DAMPING_GAIN * twist, tolerance=1e-5)
+        assert_close(from_c(output.torque_Nm), torque, tolerance=3e-5)
+        assert_close(from_c(output.wheel_force_N), force, tolerance=3e-5)
+        assert_close(from_c(output.mu_mps), mu, tolerance=3e-5)
+        corrected = max(corrected, float(np.max(np.abs(torque - resummed_step(scene, 0)[0])) / np.max(np.abs(torque))))
+    assert (corrected > 0.1) == (order > 0)  # the scenes are such that the corrections are seen
+
+
+def slopes(scene: Scene, order: int, series: Series, parts: tuple[int, ...]) -> list[float]:
+    """Power of epsilon by which resummed form and truncated series differ, one a part; infinite where they do not."""
+    differences = []
+    for epsilon in (1e-3, 5e-4):
+        pair = resummed_step(replace(scene, epsilon=epsilon), order), series.at(epsilon, order)
+        differences.append([relative_difference(pair[0][part], pair[1][part]) for part in parts])
+    pairs = zip(*differences, strict=True)
+    return [np.inf if large < ROUNDING else float(np.log2(large / small)) for large, small in pairs]
+
+
+def relative_difference(actual: Array, expected: Array) -> float:
+    return float(np.linalg.norm(actual - expected) / np.linalg.norm(expected))
+
+
+ROUNDING = 2e-12  # of the double: inv(Gamma) magnifies it
+TORQUE, MU, FORCE, TWIST = range(4)
+SERIES_SCENES = 30
+
+
+@pytest.mark.parametrize("order", [0, 1])
+def test_series_of_jets_is_the_literal_law_of_the_block_matrices(order: int) -> None:
+    for scene in random_scenes()[:SERIES_SCENES]:
+        series = literal_series(scene, speed_frozen=False)
+        errors = []
+        for epsilon in (2e-5, 1e-5):
+            torque, mu, twist, _ = literal_step(replace(scene, epsilon=epsilon), order)
+            ours = series.at(epsilon, order)
+            pairs = ((torque, ours[TORQUE]), (mu, ours[MU]), (twist, ours[TWIST]))
+            errors.append([relative_difference(*pair) for pair in pairs])
+        for large, small in zip(*errors, strict=True):
+            assert large < ROUNDING or (order == 1 and large / small == pytest.approx(4.0, rel=0.05))
+
+
+def test_resummed_form_of_order_0_is_the_literal_one() -> None:
+    for scene in random_scenes()[:SERIES_SCENES]:
+        series = literal_series(scene, speed_frozen=False)
+        assert slopes(scene, 0, series, (TORQUE, MU, FORCE, TWIST)) == [np.inf] * 4
+
+
+def test_resummed_form_of_order_1_differs_from_the_literal_series_by_epsilon_squared() -> None:
+    for scene in random_scenes()[:SERIES_SCENES]:
+        series = literal_series(scene, speed_frozen=False)
+        torque, mu, force, twist = slopes(scene, 1, series, (TORQUE, MU, FORCE, TWIST))
+        assert 1.8 < torque < 2.2
+        assert mu > 1.8
+        assert force > 1.8
+        assert twist == np.inf
+
+
+@pytest.mark.parametrize("order", [2, 3])
+def test_resummed_form_with_the_encoders_speed_differs_by_the_next_power(order: int) -> None:
+    """The firmware takes V of (14) from the encoders: to that V it has every power of epsilon."""
+    for scene in random_scenes()[:SERIES_SCENES]:
+        series = literal_series(scene, speed_frozen=True)
+        torque, force, twist = slopes(scene, order, series, (TORQUE, FORCE, TWIST))
+        assert order + 0.8 < torque < order + 1.2
+        assert order + 0.8 < force
+        assert order + 0.8 < twist
+
+
+@pytest.mark.parametrize("order", [2, 3, EXACT])
+def test_resummed_form_misses_the_slip_of_v_at_epsilon_squared(order: int) -> None:
+    """What freezing V costs: a share of the slip as large as the slip ratio."""
+    for scene in random_scenes()[:SERIES_SCENES]:
+        series = literal_series(scene, speed_frozen=False)
+        for epsilon in (1e-3, 1e-4):
+            here = replace(scene, epsilon=epsilon)
+            twist, odometry = resummed_step(here, order)[TWIST], resummed_step(here, 0)[TWIST]
+            missing, slip = twist - series.at(epsilon, DEGREE)[TWIST], twist - odometry
+            share = float(np.linalg.norm(slip) / abs(speed(odometry, scene.length)))
+            # Beside it only what the truncated series itself leaves.
+            assert np.linalg.norm(missing) < (3.0 * share + 1e-2 * (epsilon / 1e-3)) * np.linalg.norm(slip)
+
+
+def test_derivatives_of_the_reference_beyond_the_jerk_do_not_matter() -> None:
+    """Though H1', H2'' and so on contain them: the series resums to a form with one derivative."""
+    snap = np.array([300.0, -200.0, 500.0])
+    for scene in random_scenes()[:10]:
+        with_snap = literal_series(scene, speed_frozen=False, snap=snap)
+        without = literal_series(scene, speed_frozen=False)
+        for part in ("torque", "mu", "force", "twist"):
+            one, other = getattr(with_snap, part), getattr(without, part)
+            np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9 * np.abs(other).max())
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_residual_of_the_manifold_falls_by_the_next_power(order: int) -> None:
+    """The wheel forces asked for and the slip believed in: nu + c inv(Jr) lambda(nu) = v_odo but for order N + 1."""
+    for scene in random_scenes()[:SERIES_SCENES]:
+        residuals = []
+        for epsilon in (2e-4, 1e-4):
+            here = replace(scene, epsilon=epsilon)
+            _, _, force, twist = resummed_step(here, order)
+            odometry = np.linalg.solve(matrix_s(0.0)[3:], scene.wheel_speed)
+            c = epsilon * float(np.real(speed(odometry, scene.length) + scene.delta)) / STIFFNESS
+            slip = c * np.linalg.solve(matrix_a(0.0)[:3].T, force)
+            residuals.append(float(np.linalg.norm(twist + slip - odometry)))
+        assert np.log2(residuals[0] / residuals[1]) == pytest.approx(order + 1, abs=0.1)

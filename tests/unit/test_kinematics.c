@@ -56,10 +56,10 @@ static void test_wheels_stand_on_a_circle_a_third_of_a_turn_apart(void)
     // behind d; the places must be those of the paper's Fig. 1: 60°, 180°, −60° from body x.
     static const double angle[] = {60.0, 180.0, -60.0};
     for (int wheel = 0; wheel < 3; wheel++) {
-        const float *direction = omnibot.drive_directions.m[wheel];
-        assert_near(cos(angle[wheel] * pi / 180.0), direction[1], 1e-7);
-        assert_near(-sin(angle[wheel] * pi / 180.0), direction[0], 1e-7);
-        assert_near(b, direction[2], 1e-8);
+        const float *rate = omnibot.wheel_rate_of_twist.m[wheel];
+        assert_near(cos(angle[wheel] * pi / 180.0) / r, rate[1], 3e-6);
+        assert_near(-sin(angle[wheel] * pi / 180.0) / r, rate[0], 3e-6);
+        assert_near(b / r, rate[2], 3e-7);
     }
 }
 
@@ -234,6 +234,100 @@ static void test_speed_rate_too_slow_for_single_precision_is_finite(void)
     TEST_ASSERT_TRUE(isfinite(kinematics_speed_rate((vec3_t){1e-22f, 0.0f, 0.0f}, (vec3_t){1.0f, 0.0f, 0.0f}, 1.0f)));
 }
 
+// ---- the moved pose
+
+/// The pose after a time at a twist, by 10000 steps of the midpoint rule in double.
+static void integrate(double pose[3], const double twist[3], double time)
+{
+    const int steps = 10000;
+    const double h = time / steps;
+    for (int i = 0; i < steps; i++) {
+        const double middle = pose[2] + 0.5 * h * twist[2];
+        pose[0] += h * (cos(middle) * twist[0] - sin(middle) * twist[1]);
+        pose[1] += h * (sin(middle) * twist[0] + cos(middle) * twist[1]);
+        pose[2] += h * twist[2];
+    }
+}
+
+static vec3_t moved_pose(vec3_t pose, vec3_t twist, float time_s)
+{
+    return kinematics_moved_pose((pose_sum_t){.value = pose}, twist, time_s).value;
+}
+
+static void assert_moves_by(const double start[3], const double twist[3], double time, double tolerance)
+{
+    double end[] = {start[0], start[1], start[2]};
+    integrate(end, twist, time);
+    const vec3_t pose = {(float)start[0], (float)start[1], (float)start[2]};
+
+    const vec3_t moved = moved_pose(pose, (vec3_t){(float)twist[0], (float)twist[1], (float)twist[2]}, (float)time);
+
+    assert_near(end[0], moved.x, tolerance);
+    assert_near(end[1], moved.y, tolerance);
+    assert_near(0.0, (float)remainder(end[2] - (double)moved.z, 2.0 * pi), tolerance);
+    TEST_ASSERT_FLOAT_WITHIN((float)pi + 1e-6f, 0.0f, moved.z);
+}
+
+static void test_moved_pose_in_a_period_agrees_with_a_fine_integration(void)
+{
+    // The heading halfway errs by (ω T)² / 24 of the way: 1e-8 m at 10 rad/s and 2 m/s.
+    for (int i = 0; i < 81; i++) {
+        const double start[] = {0.5, -0.3, 1.5 * (i % 3 - 1)};
+        const double twist[] = {2.0 * (i / 3 % 3 - 1), 1.5 * (i / 9 % 3 - 1), 10.0 * (i / 27 - 1)};
+        assert_moves_by(start, twist, 1e-3, 3e-7);
+    }
+}
+
+static void test_moved_pose_errs_by_the_square_of_the_turn(void)
+{
+    // Half a second ahead at 1 m/s, turning at 1 rad/s: the chord is shorter than the arc by 1/4 / 24.
+    assert_moves_by((double[]){0.0, 0.0, 0.0}, (double[]){1.0, 0.0, 1.0}, 0.5, 0.5 * 0.25 / 24.0 * 1.05);
+}
+
+static void test_moved_pose_facing_left_moves_ahead_along_world_y(void)
+{
+    const float quarter = (float)(pi / 2.0);
+
+    const vec3_t moved = moved_pose((vec3_t){1.0f, 2.0f, quarter}, (vec3_t){0.5f, 0.25f, 0.0f}, 2.0f);
+
+    assert_vec3(0.5, 3.0, pi / 2.0, moved, 1e-6);
+}
+
+static void test_moved_pose_turning_past_pi_wraps(void)
+{
+    const vec3_t still = {0.0f, 0.0f, 3.0f};
+    assert_vec3(0.0, 0.0, 3.1 + 0.3 - 2.0 * pi, moved_pose((vec3_t){0.0f, 0.0f, 3.1f}, still, 0.1f), 1e-6);
+
+    const vec3_t back = {0.0f, 0.0f, -3.0f};
+    assert_vec3(0.0, 0.0, 2.0 * pi - 3.4, moved_pose((vec3_t){0.0f, 0.0f, -3.1f}, back, 0.1f), 1e-6);
+}
+
+static void test_moved_pose_at_rest_stays(void)
+{
+    const vec3_t pose = {1.0f, -2.0f, 0.75f}, still = {0.0f, 0.0f, 0.0f};
+
+    assert_vec3(1.0, -2.0, 0.75, moved_pose(pose, still, 1e-3f), 0.0);
+}
+
+static void test_moved_pose_over_many_small_ways_loses_none_of_them(void)
+{
+    // A way of 3.3 µm a tick, below half of what single precision resolves at 100 m, ten thousand times.
+    pose_sum_t pose = {.value = {100.0f, -100.0f, 0.0f}};
+    for (int k = 0; k < 10000; k++) {
+        pose = kinematics_moved_pose(pose, (vec3_t){3.3e-3f, -3.3e-3f, 0.0f}, 1.0e-3f);
+    }
+    assert_vec3(100.033, -100.033, 0.0, pose.value, 8e-6);
+}
+
+static void test_moved_pose_turning_slowly_for_long_loses_nothing(void)
+{
+    pose_sum_t pose = {.value = {0.0f, 0.0f, 3.0f}};
+    for (int k = 0; k < 100000; k++) {
+        pose = kinematics_moved_pose(pose, (vec3_t){0.0f, 0.0f, 0.01f}, 1.0e-3f);
+    }
+    assert_near(3.0 + 1.0 - 2.0 * pi, pose.value.z, 2e-6);
+}
+
 int main(void)
 {
     UNITY_BEGIN();
@@ -262,5 +356,12 @@ int main(void)
     RUN_TEST(test_speed_rate_speeding_up_is_positive_and_braking_negative);
     RUN_TEST(test_speed_rate_at_rest_is_zero);
     RUN_TEST(test_speed_rate_too_slow_for_single_precision_is_finite);
+    RUN_TEST(test_moved_pose_in_a_period_agrees_with_a_fine_integration);
+    RUN_TEST(test_moved_pose_errs_by_the_square_of_the_turn);
+    RUN_TEST(test_moved_pose_facing_left_moves_ahead_along_world_y);
+    RUN_TEST(test_moved_pose_turning_past_pi_wraps);
+    RUN_TEST(test_moved_pose_at_rest_stays);
+    RUN_TEST(test_moved_pose_over_many_small_ways_loses_none_of_them);
+    RUN_TEST(test_moved_pose_turning_slowly_for_long_loses_nothing);
     return UNITY_END();
 }

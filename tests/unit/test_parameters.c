@@ -10,7 +10,7 @@ static const struct {
     float minimum, maximum, initial;
     bool integer;
 } expected[] = {
-    {0.0f, 1.0f, 1.0f, true},       // order
+    {0.0f, 5.0f, 5.0f, true},       // order
     {0.0f, 1.0f, 0.01f, false},     // epsilon
     {1e-6f, 1.0f, 1e-3f, false},    // delta_m_per_s
     {0.0f, 10.0f, 1.0f, false},     // speed_length_m
@@ -20,6 +20,12 @@ static const struct {
     {0.0f, 500.0f, 23.0f, false},   // heading_damping_per_s
     {0.0f, 1000.0f, 3.5f, false},   // force_bound_N
     {0.0f, 0.327f, 0.2f, false},    // torque_bound_Nm
+    {0.0f, 1.0f, 0.0f, true},       // output
+    {0.0f, 1.0f, 1.0f, true},       // traction
+    {0.1f, 1000.0f, 5.0f, false},   // friction_limit_N
+    {0.01f, 1e9f, 0.3f, false},      // series_ratio_max
+    {0.0f, 1.0f, 0.0f, false},      // observer_lag_s
+    {0.0f, 3600.0f, 0.5f, false},   // pose_timeout_s
 };
 
 static parameters_t parameters;
@@ -86,7 +92,7 @@ static void test_set_just_outside_the_range_is_refused(void)
 {
     for (uint8_t i = 0; i < PARAMETER_COUNT; i++) {
         assert_refused(i, nextafterf(expected[i].minimum, -1e9f));
-        assert_refused(i, nextafterf(expected[i].maximum, 1e9f));
+        assert_refused(i, nextafterf(expected[i].maximum, INFINITY));
     }
 }
 
@@ -163,29 +169,53 @@ static void test_control_gets_each_parameter_in_its_place(void)
     assert_taken(7, 9.0f);
     assert_taken(8, 2.5f);
     assert_taken(9, 0.125f);
+    assert_taken(10, 1.0f);
+    assert_taken(11, 0.0f);
+    assert_taken(12, 6.5f);
+    assert_taken(13, 0.75f);
+    assert_taken(14, 0.007f);
+    assert_taken(15, 2.5f);
 
     const control_params_t control = parameters_for_control(&parameters, &omnibot);
 
     TEST_ASSERT_EQUAL_PTR(&omnibot, control.robot);
     TEST_ASSERT_EQUAL_INT32(0, control.order);
-    assert_same(0.5f, control.epsilon_per_N);
+    assert_same(0.5f, control.floor.compliance_per_N);
     assert_same(0.25f, control.delta_mps);
     assert_same(4.0f, control.speed_length_m);
-    assert_same(81.0f, control.gains.stiffness_per_s2.x);
-    assert_same(81.0f, control.gains.stiffness_per_s2.y);
-    assert_same(33.0f, control.gains.stiffness_per_s2.z);
-    assert_same(17.0f, control.gains.damping_per_s.x);
-    assert_same(17.0f, control.gains.damping_per_s.y);
-    assert_same(9.0f, control.gains.damping_per_s.z);
+    assert_same(81.0f, control.law.stiffness_per_s2.x);
+    assert_same(81.0f, control.law.stiffness_per_s2.y);
+    assert_same(33.0f, control.law.stiffness_per_s2.z);
+    assert_same(17.0f, control.law.damping_per_s.x);
+    assert_same(17.0f, control.law.damping_per_s.y);
+    assert_same(9.0f, control.law.damping_per_s.z);
     assert_same(2.5f, control.force_bound_N);
     assert_same(0.125f, control.torque_bound_Nm);
+    TEST_ASSERT_EQUAL(OUTPUT_POINT, control.law.output);
+    TEST_ASSERT_TRUE(control.floor.linear);
+    TEST_ASSERT_EQUAL_PTR(&omnibot.floor_curve, control.floor.curve);
+    assert_same(6.5f, control.floor.friction_limit_N);
+    assert_same(0.75f, control.series_ratio_max);
+    assert_same(0.007f, control.observer_lag_s);
+    assert_same(2.5f, parameters.value[PARAMETER_POSE_TIMEOUT_S]); // the application's own
+}
+
+static void test_control_defaults_choose_posture_and_the_magic_formula(void)
+{
+    const control_params_t control = parameters_for_control(&parameters, &omnibot);
+
+    TEST_ASSERT_EQUAL_INT32(CONTROL_OBSERVER, control.order);
+    TEST_ASSERT_EQUAL(OUTPUT_POSTURE, control.law.output);
+    TEST_ASSERT_FALSE(control.floor.linear);
 }
 
 static void test_control_order_reaches_the_largest_that_control_knows(void)
 {
-    assert_taken(PARAMETER_ORDER, (float)CONTROL_ORDER_MAX);
-    TEST_ASSERT_EQUAL_INT32(CONTROL_ORDER_MAX, parameters_for_control(&parameters, &omnibot).order);
-    assert_refused(PARAMETER_ORDER, (float)(CONTROL_ORDER_MAX + 1));
+    for (int32_t order = 0; order <= CONTROL_OBSERVER; order++) {
+        assert_taken(PARAMETER_ORDER, (float)order);
+        TEST_ASSERT_EQUAL_INT32(order, parameters_for_control(&parameters, &omnibot).order);
+    }
+    assert_refused(PARAMETER_ORDER, (float)(CONTROL_OBSERVER + 1));
 }
 
 int main(void)
@@ -202,6 +232,7 @@ int main(void)
     RUN_TEST(test_set_unknown_index_is_refused);
     RUN_TEST(test_set_one_leaves_the_others);
     RUN_TEST(test_control_gets_each_parameter_in_its_place);
+    RUN_TEST(test_control_defaults_choose_posture_and_the_magic_formula);
     RUN_TEST(test_control_order_reaches_the_largest_that_control_knows);
     return UNITY_END();
 }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 // The law (33) against its literal form in double: world-frame ∆ = ∂P0/∂q S1 and ∆̇, solved, not inverted by hand; η̇
-// against a numerical derivative along the closed loop.
+// against a numerical derivative along the closed loop; both for the posture and, by ∆⁺, for the point.
 #include "tracking.h"
 
 #include "kinematics.h"
@@ -9,7 +9,7 @@
 static const double L = 0.12;
 static const double pi = 3.14159265358979323846;
 
-static const tracking_gains_t gains = {{70.0f, 70.0f, 40.0f}, {23.0f, 23.0f, 11.0f}};
+static tracking_law_t law; // of the firmware; its output tells the literal law's too
 
 /// A state of the loop and the reference with its derivatives, in double.
 typedef struct {
@@ -19,6 +19,7 @@ typedef struct {
 
 void setUp(void)
 {
+    law = (tracking_law_t){OUTPUT_POSTURE, {70.0f, 70.0f, 40.0f}, {23.0f, 23.0f, 11.0f}};
 }
 
 void tearDown(void)
@@ -115,6 +116,22 @@ static void solve(double a[3][3], const double right[3], double x[3])
     }
 }
 
+/// η = ∆⁺ a = ∆ᵀ (∆ ∆ᵀ)⁻¹ a with the first two rows of ∆: the point's.
+static void solve_point(double D[3][3], const double right[3], double eta[3])
+{
+    double gram[2][2];
+    for (int i = 0; i < 4; i++) {
+        const double *row = D[i / 2], *other = D[i % 2];
+        gram[i / 2][i % 2] = row[0] * other[0] + row[1] * other[1] + row[2] * other[2];
+    }
+    const double scale = 1.0 / (gram[0][0] * gram[1][1] - gram[0][1] * gram[1][0]);
+    const double first = scale * (gram[1][1] * right[0] - gram[0][1] * right[1]);
+    const double second = scale * (gram[0][0] * right[1] - gram[1][0] * right[0]);
+    for (int i = 0; i < 3; i++) {
+        eta[i] = D[0][i] * first + D[1][i] * second;
+    }
+}
+
 static void literal_eta(const scene_t *scene, double eta[3])
 {
     const double K1[] = {70.0, 70.0, 40.0}, K2[] = {23.0, 23.0, 11.0};
@@ -130,7 +147,11 @@ static void literal_eta(const scene_t *scene, double eta[3])
         }
         right[i] = scene->y2[i] - K2[i] * (velocity - scene->y1[i]) - K1[i] * (y[i] - scene->y[i]) - turning;
     }
-    solve(D, right, eta);
+    if (law.output == OUTPUT_POINT) {
+        solve_point(D, right, eta);
+    } else {
+        solve(D, right, eta);
+    }
 }
 
 /// Moves the closed loop ν̇ = η, q̇ = S1 ν on by a time, with the reference's own Taylor series; one RK4 step.
@@ -193,7 +214,7 @@ static tracking_t tracking_of(const scene_t *scene)
 static vec3_t eta_of(const scene_t *scene)
 {
     const tracking_t tracking = tracking_of(scene);
-    return tracking_eta(&omnibot, &gains, &tracking, single(scene->twist));
+    return tracking_eta(&omnibot, &law, &tracking, single(scene->twist));
 }
 
 static void assert_vec3(const double expected[3], vec3_t actual, double tolerance)
@@ -336,8 +357,9 @@ static void test_eta_turning_on_the_spot_about_the_point_needs_no_point_accelera
 
 // ---- η and η̇ against the literal law
 
-static void test_eta_at_random_states_agrees_with_the_literal_law(void)
+static void assert_eta_is_literal(tracking_output_t of)
 {
+    law.output = of;
     for (uint32_t seed = 0; seed < 500; seed++) {
         const scene_t scene = random_scene(seed);
         double expected[3];
@@ -348,8 +370,19 @@ static void test_eta_at_random_states_agrees_with_the_literal_law(void)
     }
 }
 
-static void test_eta_rate_at_random_states_agrees_with_the_closed_loop(void)
+static void test_eta_at_random_states_agrees_with_the_literal_law(void)
 {
+    assert_eta_is_literal(OUTPUT_POSTURE);
+}
+
+static void test_eta_of_the_point_at_random_states_agrees_with_the_literal_pseudo_inverse(void)
+{
+    assert_eta_is_literal(OUTPUT_POINT);
+}
+
+static void assert_eta_rate_is_that_of_the_loop(tracking_output_t of)
+{
+    law.output = of;
     const double h = 1e-4;
     for (uint32_t seed = 0; seed < 500; seed++) {
         const scene_t scene = random_scene(seed);
@@ -363,11 +396,21 @@ static void test_eta_rate_at_random_states_agrees_with_the_closed_loop(void)
         }
         const tracking_t tracking = tracking_of(&scene);
 
-        const vec3_t actual = tracking_eta_rate(&omnibot, &gains, &tracking, single(scene.twist), single(eta));
+        const vec3_t actual = tracking_eta_rate(&omnibot, &law, &tracking, single(scene.twist), single(eta));
 
         // Terms reach 23 × 60: 3e-3 is 2e-6 of them; the difference itself errs by h² of the third derivative, 1e-4.
         assert_vec3(expected, actual, 3e-3);
     }
+}
+
+static void test_eta_rate_at_random_states_agrees_with_the_closed_loop(void)
+{
+    assert_eta_rate_is_that_of_the_loop(OUTPUT_POSTURE);
+}
+
+static void test_eta_rate_of_the_point_at_random_states_agrees_with_the_closed_loop(void)
+{
+    assert_eta_rate_is_that_of_the_loop(OUTPUT_POINT);
 }
 
 static void test_eta_rate_on_the_reference_is_the_jerk_seen_from_the_body(void)
@@ -376,9 +419,74 @@ static void test_eta_rate_on_the_reference_is_the_jerk_seen_from_the_body(void)
     scene.y3[0] = 5.0;
     const tracking_t tracking = tracking_of(&scene);
 
-    const vec3_t rate = tracking_eta_rate(&omnibot, &gains, &tracking, (vec3_t){0.0f, 0.0f, 0.0f}, eta_of(&scene));
+    const vec3_t rate = tracking_eta_rate(&omnibot, &law, &tracking, (vec3_t){0.0f, 0.0f, 0.0f}, eta_of(&scene));
 
     assert_vec3((double[]){0.0, -5.0, 0.0}, rate, 1e-3);
+}
+
+// ---- the point alone, by hand
+
+static void test_eta_of_the_point_ahead_turns_as_little_as_it_moves(void)
+{
+    // Along x the point moves by νx − L ω; the smallest [νx, ω] that gives 7 m/s² shares as 1 : −L.
+    law.output = OUTPUT_POINT;
+    scene_t scene = at_rest(0.0);
+    scene.y[0] += 0.1;
+
+    const double share = 7.0 / (1.0 + L * L);
+    assert_vec3((double[]){share, 0.0, -L * share}, eta_of(&scene), 1e-5);
+}
+
+static void test_eta_of_the_point_does_not_look_at_the_heading(void)
+{
+    law.output = OUTPUT_POINT;
+    scene_t scene = at_rest(0.4);
+    scene.y[2] += 1.0;
+    scene.y1[2] = 2.0;
+    scene.y2[2] = 3.0;
+
+    assert_vec3((double[]){0.0, 0.0, 0.0}, eta_of(&scene), 2e-5);
+}
+
+// ---- the gradient
+
+/// η + ω×ν of the literal law.
+static void literal_specific_force(const scene_t *scene, double sum[3])
+{
+    literal_eta(scene, sum);
+    sum[0] -= scene->twist[2] * scene->twist[1];
+    sum[1] += scene->twist[2] * scene->twist[0];
+}
+
+static void assert_gradient_is_that_of_the_law(tracking_output_t of)
+{
+    law.output = of;
+    const double h = 1e-4; // quadratic in ν: a central difference is exact but for rounding
+    for (uint32_t seed = 0; seed < 300; seed++) {
+        const scene_t scene = random_scene(seed);
+        const mat3_t gradient = tracking_gradient(&omnibot, &law, single(scene.twist));
+        for (int j = 0; j < 3; j++) {
+            scene_t after = scene, before = scene;
+            after.twist[j] += h;
+            before.twist[j] -= h;
+            double up[3], down[3];
+            literal_specific_force(&after, up);
+            literal_specific_force(&before, down);
+            for (int i = 0; i < 3; i++) {
+                TEST_ASSERT_FLOAT_WITHIN(1e-5f, (float)((up[i] - down[i]) / (2.0 * h)), gradient.m[i][j]);
+            }
+        }
+    }
+}
+
+static void test_gradient_at_random_states_agrees_with_a_difference_of_the_literal_law(void)
+{
+    assert_gradient_is_that_of_the_law(OUTPUT_POSTURE);
+}
+
+static void test_gradient_of_the_point_at_random_states_agrees_with_a_difference_of_the_literal_law(void)
+{
+    assert_gradient_is_that_of_the_law(OUTPUT_POINT);
 }
 
 int main(void)
@@ -398,7 +506,13 @@ int main(void)
     RUN_TEST(test_eta_reference_accelerating_follows_it);
     RUN_TEST(test_eta_turning_on_the_spot_about_the_point_needs_no_point_acceleration);
     RUN_TEST(test_eta_at_random_states_agrees_with_the_literal_law);
+    RUN_TEST(test_eta_of_the_point_at_random_states_agrees_with_the_literal_pseudo_inverse);
     RUN_TEST(test_eta_rate_at_random_states_agrees_with_the_closed_loop);
+    RUN_TEST(test_eta_rate_of_the_point_at_random_states_agrees_with_the_closed_loop);
     RUN_TEST(test_eta_rate_on_the_reference_is_the_jerk_seen_from_the_body);
+    RUN_TEST(test_eta_of_the_point_ahead_turns_as_little_as_it_moves);
+    RUN_TEST(test_eta_of_the_point_does_not_look_at_the_heading);
+    RUN_TEST(test_gradient_at_random_states_agrees_with_a_difference_of_the_literal_law);
+    RUN_TEST(test_gradient_of_the_point_at_random_states_agrees_with_a_difference_of_the_literal_law);
     return UNITY_END();
 }
