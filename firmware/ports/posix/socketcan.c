@@ -12,6 +12,8 @@
 #include <sys/time.h>
 #include <unistd.h>
 
+enum { SEND_ATTEMPTS = 100, SEND_WAIT_MS = 10 };
+
 /// Only the frames of our node, with 11-bit identifiers and data.
 static bool keep_node(int socket, uint8_t node)
 {
@@ -74,12 +76,17 @@ bool socketcan_send(int socket, const frame_t *frame)
 {
     struct can_frame raw = {.can_id = frame->id, .len = frame->length};
     memcpy(raw.data, frame->data, FRAME_DATA_BYTES);
-    while (write(socket, &raw, sizeof raw) != (ssize_t)sizeof raw) {
-        // A full queue is not an error of ours: wait for room, but not for ever.
-        struct pollfd room = {.fd = socket, .events = POLLOUT};
-        if ((errno != ENOBUFS && errno != EAGAIN && errno != EINTR) || poll(&room, 1, 100) < 0) {
+    // A full queue is not an error of ours: wait for room, but not for ever.
+    for (int attempt = 0; attempt < SEND_ATTEMPTS; attempt++) {
+        if (write(socket, &raw, sizeof raw) == (ssize_t)sizeof raw) {
+            return true;
+        }
+        if (errno != ENOBUFS && errno != EAGAIN && errno != EINTR) {
             return false;
         }
+        struct pollfd room = {.fd = socket, .events = POLLOUT};
+        (void)poll(&room, 1, SEND_WAIT_MS);
     }
-    return true;
+    errno = ENOBUFS;
+    return false;
 }

@@ -16,7 +16,7 @@ typedef enum { SOCKETCAN_FRAME, SOCKETCAN_NOTHING, SOCKETCAN_FAILED } socketcan_
 /// SOCKETCAN_FAILED: errno says why.
 socketcan_result_t socketcan_receive(int socket, frame_t *frame);
 
-/// Sends a frame, waiting for room; false and errno on failure.
+/// Sends a frame, waiting up to a second for room; false and errno on failure.
 bool socketcan_send(int socket, const frame_t *frame);
 
 #endif
