@@ -1,5 +1,6 @@
 """The command line: ``omnibot VERB``."""
 
+import itertools
 import json
 import math
 import shlex
@@ -10,14 +11,24 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import Console
+from rich.progress import track
+from rich.text import Text
 
 from host_sim.codec import DBC_FILE, Codec
 from host_sim.errors import OmnibotError
 from host_sim.link import Link, open_bus
+from host_sim.paper import choose, write_paper
 from host_sim.planner import PathRequest, plan
 from host_sim.robot import ROOT, load_robot
-from host_sim.run import BusLog, Scenario, execute, run_folder
-from host_sim.trace import Trace, compare
+from host_sim.run import LOG_FILE, BusLog, Scenario, execute, run_folder
+from host_sim.sensors import Sensors
+from host_sim.sweep import SWEEPS, run_sweep, table
+from host_sim.trace import Trace, compare, write_atomically
+
+
+class RunFailedError(OmnibotError):
+    """A run that did not complete; its result was printed already."""
+
 
 app = typer.Typer(no_args_is_help=True, add_completion=True, pretty_exceptions_enable=False)
 
@@ -27,18 +38,23 @@ def omnibot() -> None:
     """Drive a simulated robot with slipping wheels by the firmware that goes to the board."""
 
 
-def parse_settings(settings: list[str]) -> dict[str, float]:
+def parse_settings(option: str, settings: list[str]) -> dict[str, str]:
     """Read NAME=VALUE pairs."""
     values = {}
     for setting in settings:
         name, separator, text = setting.partition("=")
-        try:
-            values[name] = float(text)
-        except ValueError:
-            separator = ""
-        if not separator:
-            raise OmnibotError(f"--set {setting}: must be NAME=NUMBER, such as position_damping_per_s=30")
+        if not name or not separator or not text:
+            raise OmnibotError(f"{option} {setting}: must be NAME=VALUE")
+        values[name] = text
     return values
+
+
+def parse_numbers(option: str, settings: list[str]) -> dict[str, float]:
+    """Read NAME=NUMBER pairs."""
+    try:
+        return {name: float(text) for name, text in parse_settings(option, settings).items()}
+    except ValueError as error:
+        raise OmnibotError(f"{option}: {error}; must be NAME=NUMBER") from None
 
 
 def summary(result: dict[str, Any], folder: Path) -> str:
@@ -65,7 +81,12 @@ def run(
     corner: Annotated[str, typer.Option(help="sharp or rounded")] = "rounded",
     corner_accel: Annotated[float, typer.Option(help="peak acceleration of corners and ramps, m/s^2")] = 2.0,
     epsilon: Annotated[float, typer.Option(help="inverse stiffness of the floor, 1/N, above 0 and at most 1")] = 0.01,
-    order: Annotated[int, typer.Option(help="order of the manifold in the firmware: 0 or 1")] = 1,
+    order: Annotated[
+        str, typer.Option(help="how the firmware predicts slip: order 0, 1, 2 or 3 of the manifold, exact, or observer")
+    ] = "observer",
+    output: Annotated[
+        str, typer.Option(help="what follows the path: posture (point and heading) or point")
+    ] = "posture",
     traction: Annotated[str, typer.Option(help="linear or magic")] = "magic",
     duration: Annotated[float | None, typer.Option(help="time to the end, s (default: one lap)")] = None,
     start_before_corner: Annotated[
@@ -79,6 +100,14 @@ def run(
     setting: Annotated[
         list[str] | None, typer.Option("--set", help="NAME=VALUE of a firmware parameter; may be repeated")
     ] = None,
+    plant: Annotated[
+        list[str] | None, typer.Option(help="NAME=NUMBER of the robot that the firmware does not know of, mass_kg=2.3")
+    ] = None,
+    pose_rate_hz: Annotated[
+        float | None, typer.Option(help="poses a second; 0: only the first, then dead reckoning (default: every tick)")
+    ] = None,
+    pose_delay_s: Annotated[float, typer.Option(help="age of a pose when it is sent, s")] = 0.0,
+    encoder_counts: Annotated[int, typer.Option(help="encoder counts a turn; 0: no quantisation")] = 0,
     delta_m_per_s: Annotated[float, typer.Option(help="delta of the slip ratio, m/s")] = 1e-3,
     speed_length_m: Annotated[float, typer.Option(help="length that turns yaw rate into speed in (14), m")] = 1.0,
     pace: Annotated[float, typer.Option(help="never faster than so many times real time")] = math.inf,
@@ -88,36 +117,47 @@ def run(
     as_json: Annotated[bool, typer.Option("--json", help="print result.json instead of the summary")] = False,
 ) -> None:
     """Drive one path in closed loop and write trace.npz, result.json, bus.log, figures and report.html."""
-    if not pace > 0.0 or not timeout > 0.0:
-        raise OmnibotError(f"--pace {pace:g} and --timeout {timeout:g} must be above 0")
+    if not pace > 0.0:
+        raise OmnibotError(f"--pace {pace:g} must be above 0")
+    if not 1e-3 <= timeout <= 3600.0:
+        raise OmnibotError(f"--timeout {timeout:g} must be 0.001 … 3600 s")
     robot = load_robot()
     request = PathRequest(path, speed, corner, corner_accel, duration, start_before_corner)
     scenario = Scenario(
-        request,
-        epsilon,
-        order,
-        traction,  # type: ignore[arg-type]  # checked by Traction
-        delta_m_per_s,
-        speed_length_m,
-        parse_settings(setting or []),
+        path=request,
+        epsilon=epsilon,
+        order=order,
+        output=output,
+        traction=traction,  # type: ignore[arg-type]  # checked by Traction
+        delta_m_per_s=delta_m_per_s,
+        speed_length_m=speed_length_m,
+        parameters=parse_settings("--set", setting or []),
+        plant=parse_numbers("--plant", plant or []),
+        sensors=Sensors(pose_rate_hz, pose_delay_s, encoder_counts),
     )
-    scenario.traction_of(robot)
-    for name, value in scenario.firmware_parameters().items():
-        robot.parameter(name).check(value)
+    scenario.traction_of(scenario.plant_robot(robot))
+    scenario.firmware_parameters(robot)
     trajectory = plan(request)
     codec = Codec(dbc, node)
-    folder = out or ROOT / "runs" / f"{datetime.now().astimezone():%Y-%m-%d-%H%M%S}-{path}"
+    folder = out or _new_folder(path)
     bus_name = bus if interface is None else f"{interface}:{channel}"
-    with run_folder(folder), open_bus(bus, node, interface, channel, bitrate) as opened:
-        log = BusLog(folder / "bus.log", channel="vcan0")
+    with open_bus(bus, node, interface, channel, bitrate) as opened, run_folder(folder):
+        log = BusLog(folder / LOG_FILE, channel="vcan0")
         try:
             link = Link(opened, codec, timeout, log.record)
-            result = execute(scenario, robot, trajectory, link, folder, bus_name, _command_line(), pace)
+            result = execute(scenario, robot, trajectory, link, log, folder, bus_name, _command_line(), pace)
         finally:
             log.close()
     print(json.dumps(result, indent=2) if as_json else summary(result, folder))  # noqa: T201
     if result["status"] != "completed":
-        raise OmnibotError(result["reason"])
+        raise RunFailedError(result["reason"])
+
+
+def _new_folder(path: str) -> Path:
+    """Return a folder below runs/ that no other run has."""
+    stem = f"{datetime.now().astimezone():%Y-%m-%d-%H%M%S}-{path}"
+    candidates = (ROOT / "runs" / (stem if number == 0 else f"{stem}-{number}") for number in itertools.count())
+    return next(folder for folder in candidates if not folder.exists())
 
 
 def _command_line() -> str:
@@ -140,10 +180,49 @@ def compare_runs(
     print(f"identical: {first} and {second} agree in every array, all {len(a)} ticks, byte for byte")  # noqa: T201
 
 
+@app.command()
+def paper(
+    only: Annotated[
+        str | None, typer.Option(help="comma-separated: fig2, fig3a, fig3b, fig4, fig5, table1 (default: all)")
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="folder of the results (default: a new one below runs/)")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="print paper.json instead of the page's place")] = False,
+) -> None:
+    """Draw every figure and table of the paper beside ours, and write them as figures, paper.html and paper.json."""
+    names, robot = choose(only), load_robot()
+    folder = out or ROOT / "runs" / f"{datetime.now().astimezone():%Y-%m-%d-%H%M%S}-paper"
+    numbers = write_paper(names, robot, folder, _command_line(), lambda line: typer.echo(line, err=True))
+    print(json.dumps(numbers, indent=2) if as_json else f"page: {folder / 'paper.html'}")  # noqa: T201
+
+
+@app.command()
+def sweep(
+    name: Annotated[str, typer.Argument(help="stability, robustness or odometry")],
+    out: Annotated[Path | None, typer.Option(help="folder for the table (default: runs/sweep-NAME)")] = None,
+    jobs: Annotated[int | None, typer.Option(help="processes (default: one a core)")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="print the rows as JSON instead of the table")] = False,
+) -> None:
+    """Run a table of scenarios in-process: stability 1,680 runs, robustness 66, odometry 12."""
+    if name not in SWEEPS:
+        raise OmnibotError(f"no sweep {name!r}; there are: {', '.join(SWEEPS)}")
+    folder = out or ROOT / "runs" / f"sweep-{name}"
+    total = sum(1 for _ in SWEEPS[name]())
+    rows = list(track(run_sweep(name, jobs), total=total, console=Console(stderr=True), description=name))
+    write_atomically(folder / "sweep.json", (json.dumps(rows, indent=2) + "\n").encode())
+    write_atomically(folder / "sweep.md", table(rows).encode())
+    print(json.dumps(rows, indent=2) if as_json else table(rows))  # noqa: T201
+    lost = sum(row["status"] != "completed" for row in rows)
+    print(f"{len(rows)} runs, {lost} not completed; table: {folder / 'sweep.md'}", file=sys.stderr)  # noqa: T201
+
+
 def main() -> None:
     """Run the command line; an error that the user can cure is one line and exit code 1."""
+    sys.stdout.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]  # a terminal without our letters
     try:
         app()
     except OmnibotError as error:
-        Console(stderr=True).print(f"[bold red]omnibot:[/] {error}", soft_wrap=True, highlight=False)
+        # Text, not markup: what the user typed may hold brackets.
+        Console(stderr=True).print(Text.assemble(("omnibot:", "bold red"), f" {error}"), soft_wrap=True)
+        if "--json" in sys.argv and not isinstance(error, RunFailedError):
+            print(json.dumps({"status": "error", "reason": str(error)}))  # noqa: T201
         sys.exit(1)

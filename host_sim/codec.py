@@ -22,6 +22,26 @@ NODE_BITS = 4
 NODES = 1 << NODE_BITS
 
 
+# The messages that this host speaks, their fields in order.
+SPOKEN = {
+    "COMMAND": ("operation", "counter"),
+    "POSE": ("x1_m", "x2_m", "heading_rad", "counter"),
+    "WHEEL_SPEED": ("wheel1_rad_per_s", "wheel2_rad_per_s", "wheel3_rad_per_s", "counter"),
+    "SYNC": ("tick", "counter"),
+    "TORQUE": ("wheel1_Nm", "wheel2_Nm", "wheel3_Nm", "counter", "mode"),
+    "SLIP": ("mu1_m_per_s", "mu2_m_per_s", "mu3_m_per_s", "counter"),
+    "STATUS": ("mode", "refusal", "fault", "fault_mask", "dropped_frames", "missed_ticks"),
+    "PARAMETER_SET": ("index", "value", "counter"),
+    "PARAMETER_GET": ("index",),
+    "PARAMETER_VALUE": ("index", "result", "value"),
+    "TRAJECTORY_BEGIN": ("length_bytes", "crc32"),
+    "TRAJECTORY_DATA": ("offset_bytes", "byte0", "byte1", "byte2", "byte3", "byte4", "byte5"),
+    "TRAJECTORY_ACK": ("offset_bytes", "result"),
+    "HELLO": ("protocol_hash",),
+    "IDENTITY": ("protocol_hash", "major", "minor", "patch", "peer_matches"),
+}
+
+
 class WireError(OmnibotError):
     """A frame that is not what it says it is."""
 
@@ -161,7 +181,16 @@ class Codec:
         # Line ends are a matter of the checkout, not of the wire.
         self.protocol_hash = zlib.crc32(content.replace(b"\r\n", b"\n"))
         messages = cast(Database, database).messages
-        self._by_name = {message.name: MessageCodec(message, node) for message in messages}
+        try:
+            self._by_name = {message.name: MessageCodec(message, node) for message in messages}
+        except (ArithmeticError, ValueError) as error:
+            raise OmnibotError(f"cannot use the wire definition {dbc}: {error}") from error
+        for name, names in SPOKEN.items():
+            found = tuple(field.name for field in self._by_name[name].fields) if name in self._by_name else None
+            if found != names:
+                raise OmnibotError(
+                    f"cannot use the wire definition {dbc}: it needs a message {name} of {', '.join(names)}"
+                )
         self._by_id = {codec.arbitration_id: codec for codec in self._by_name.values()}
 
     def __getitem__(self, name: str) -> MessageCodec:

@@ -24,9 +24,7 @@ def load_firmware(path: Path = LIBRARY_FILE) -> ctypes.CDLL:
     try:
         library = ctypes.CDLL(str(path))
     except OSError as error:
-        raise OmnibotError(
-            f"no firmware library ({error}): cmake --preset host && cmake --build --preset host"
-        ) from error
+        raise OmnibotError(f"no firmware library ({error}): tools/build host makes it") from error
     library.omnibot_size.restype = ctypes.c_size_t
     library.omnibot_size.argtypes = ()
     library.omnibot_init.restype = None

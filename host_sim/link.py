@@ -1,15 +1,17 @@
 """The host's side of the wire: a session with one robot over any python-can bus."""
 
 import contextlib
+import math
 import time
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import can
+import numpy as np
 
-from host_sim.codec import Codec, WireError
+from host_sim.codec import NODES, Codec, WireError
 from host_sim.errors import OmnibotError
 from host_sim.robot import Parameter
 
@@ -17,6 +19,8 @@ from host_sim.robot import Parameter
 REPEAT_S = 0.2
 TRAJECTORY_FRAME_BYTES = 6
 TRAJECTORY_ACK_FRAMES = 16
+
+OTHER_HOST = "does another host use it? Give each run a node of its own with --node"
 
 FrameRecord = tuple[float, int, bytes]
 
@@ -90,8 +94,12 @@ class Link:
         self.time_s = 0.0
         self.statistics = BusStatistics()
         self.status: dict[str, float] = {}
+        # Other robots' frames are none of ours: they would fill the log and the queue.
+        bus.set_filters([{"can_id": codec.node, "can_mask": NODES - 1, "extended": False}])
         self._record = record
         self._counter = 0
+        self._dropped_before = 0
+        self._speed_rest = [0.0, 0.0, 0.0]
         self._pose, self._wheels, self._sync = codec["POSE"], codec["WHEEL_SPEED"], codec["SYNC"]
         self._torque, self._slip = codec["TORQUE"], codec["SLIP"]
 
@@ -170,6 +178,7 @@ class Link:
             )
         self.command("STOP")
         self.command("CLEAR")
+        self._dropped_before = int(self.status.get("dropped_frames", 0))
         major, minor, patch = (int(identity[part]) for part in ("major", "minor", "patch"))
         return Identity(theirs, f"{major}.{minor}.{patch}")
 
@@ -184,8 +193,13 @@ class Link:
 
     def _drain(self) -> None:
         """Read what came before we ask, so that it is not taken for the answer."""
+        deadline = time.monotonic() + self.timeout_s
         while (received := self._receive(0.0)) is not None:
             self._note_status(*received)
+            if time.monotonic() > deadline:
+                raise OmnibotError(
+                    f"node {self.codec.node} on {self.bus.channel_info} never falls silent: {OTHER_HOST}"
+                )
 
     def command(self, operation: str) -> None:
         """Ask for a change of mode; RefusedError says why not."""
@@ -209,8 +223,19 @@ class Link:
         self.send("PARAMETER_SET", parameter.index, parameter.check(value), self._next_counter())
         answer = self._wait_for("PARAMETER_VALUE")
         result = self.codec["PARAMETER_VALUE"].label("result", answer["result"])
-        if result != "OK" or answer["index"] != parameter.index:
+        if result != "OK":
             raise RefusedError(f"the firmware refused {parameter.name} = {value:g}: {result}")
+        self._check_held(parameter, value, answer)
+
+    def check_parameter(self, parameter: Parameter, value: float) -> None:
+        """Make sure that the firmware holds a value: another host may have set another one meanwhile."""
+        self.send("PARAMETER_GET", parameter.index)
+        self._check_held(parameter, value, self._wait_for("PARAMETER_VALUE"))
+
+    def _check_held(self, parameter: Parameter, value: float, answer: Mapping[str, float]) -> None:
+        held = answer["value"]
+        if answer["index"] != parameter.index or held != float(np.float32(value)):
+            raise RefusedError(f"node {self.codec.node} holds {parameter.name} = {held:g}, not {value:g}: {OTHER_HOST}")
 
     def upload(self, trajectory: bytes) -> None:
         """Send a trajectory and wait until the firmware has checked it."""
@@ -230,13 +255,18 @@ class Link:
         if result != wanted:
             raise RefusedError(f"the firmware refused the trajectory at byte {answer['offset_bytes']:g}: {result}")
 
+    @property
+    def dropped(self) -> int:
+        """Frames that the firmware dropped since ``hello``, by its newest STATUS."""
+        return int(self.status.get("dropped_frames", 0)) - self._dropped_before
+
     def fault(self) -> str:
         """Return the name of the fault in the newest STATUS."""
         return self.codec["STATUS"].label("fault", self.status.get("fault", 0))
 
     # ---- the drive
 
-    def tick(self, tick: int, pose: tuple[float, ...], wheel_speed: tuple[float, ...]) -> Answer:
+    def tick(self, tick: int, pose: Sequence[float] | None, wheel_speed: Sequence[float]) -> Answer:
         """Send the sensors and SYNC of a tick and return the answer; asks again while there is none.
 
         Parameters
@@ -244,13 +274,14 @@ class Link:
         tick
             Control tick, 0 … 2^32 - 1.
         pose
-            x1, x2 in m and heading in rad, -pi … pi.
+            x1, x2 in m and heading in rad, -pi … pi; None: no pose frame goes out in this tick.
         wheel_speed
             Three wheel speeds, rad/s.
         """
         counter = tick & 0xF
-        self._send(self._pose.arbitration_id, self._pose.pack(*pose, counter))
-        self._send(self._wheels.arbitration_id, self._wheels.pack(*wheel_speed, counter))
+        if pose is not None:
+            self._send(self._pose.arbitration_id, self._pose.pack(*pose, counter))
+        self._send(self._wheels.arbitration_id, self._wheels.pack(*self._carried(wheel_speed), counter))
         sync = self._sync.pack(tick, counter)
         deadline = time.monotonic() + self.timeout_s
         while time.monotonic() < deadline:
@@ -260,12 +291,25 @@ class Link:
                 return answer
         raise self._silent(f"TORQUE for tick {tick}")
 
+    def _carried(self, wheel_speed: Sequence[float]) -> list[float]:
+        """Add to wheel speeds what rounding took from the frames before, so that their sum over time is true.
+
+        Without it a steady speed is wrong by the same part of a step in every frame, and dead reckoning drifts.
+        """
+        wanted = [speed + rest for speed, rest in zip(wheel_speed, self._speed_rest, strict=True)]
+        step = self._wheels.fields[0].unit_per_step
+        self._speed_rest = [math.remainder(speed, step) if math.isfinite(speed) else 0.0 for speed in wanted]
+        return wanted
+
     def _answer(self, counter: int) -> Answer | None:
         """Collect TORQUE and SLIP of a tick; None if they do not come. Answers to earlier ticks are passed over."""
         torque: tuple[float, ...] | None = None
         slip: tuple[float, ...] | None = None
+        deadline = time.monotonic() + REPEAT_S
         while torque is None or slip is None:
-            received = self._receive(REPEAT_S)
+            # Other frames on the bus must not put off the next asking.
+            left = deadline - time.monotonic()
+            received = self._receive(left) if left > 0.0 else None
             if received is None:
                 return None
             arbitration_id, data = received
@@ -284,6 +328,16 @@ class Link:
         return Answer((torque[0], torque[1], torque[2]), (slip[0], slip[1], slip[2]), mode)
 
 
+def is_can_interface(name: str) -> bool:
+    """Tell whether this machine has a CAN interface of that name (ARPHRD_CAN is 280)."""
+    if name in ("", ".", "..") or "/" in name:
+        return False
+    try:
+        return Path("/sys/class/net", name, "type").read_text().strip() == "280"
+    except OSError:
+        return False
+
+
 def open_bus(name: str, node: int, interface: str | None, channel: str | None, bitrate: int | None) -> can.BusABC:
     """Open the bus that the command line names.
 
@@ -298,9 +352,10 @@ def open_bus(name: str, node: int, interface: str | None, channel: str | None, b
         options: dict[str, str | int] = {"interface": interface}
         options |= {"channel": channel} if channel is not None else {}
         options |= {"bitrate": bitrate} if bitrate is not None else {}
+        options |= {"node": node} if interface == "omnibot" else {}
     elif name == "inproc":
         options = {"interface": "omnibot", "channel": "inproc", "node": node}
-    elif Path("/sys/class/net", name).exists():
+    elif is_can_interface(name):
         options = {"interface": "socketcan", "channel": name}
     else:
         raise OmnibotError(
@@ -308,5 +363,7 @@ def open_bus(name: str, node: int, interface: str | None, channel: str | None, b
         )
     try:
         return can.Bus(**options)  # type: ignore[arg-type]
-    except (can.CanError, OSError, ValueError) as error:
-        raise OmnibotError(f"cannot open the bus {options}: {error}") from error
+    except OmnibotError:
+        raise
+    except Exception as error:  # whatever the driver of some adapter raises
+        raise OmnibotError(f"cannot open the bus {options}: {error or type(error).__name__}") from error

@@ -113,7 +113,7 @@ def write_report(
         The page, ``report.html``.
     """
     figures = draw_figures(trace, path_polyline, robot or load_robot())
-    pictures = {name: _png(figure) for name, figure in figures.items()}
+    pictures = {name: render_png(figure) for name, figure in figures.items()}
     for name, picture in pictures.items():
         write_atomically(folder / f"{name}.png", picture)
     page = folder / PAGE_NAME
@@ -278,20 +278,24 @@ def _draw_path(trace: Trace, polyline: Array, robot: Robot) -> Figure:
     axes = panels[0, 0]
     axes.set_title("Path from above (m)")
     points = _drawable_points(trace)
-    _plot_paths(axes, polyline, points)
+    reference = np.where(_sane_rows(trace)[:, np.newaxis], trace.reference_point, np.nan)
+    _plot_paths(axes, polyline, reference, points)
     for row in _robot_rows(trace, robot):
         _draw_robot(axes, robot, trace.pose[row], f"{trace.time_s[row]:.3g} s")
     if corner is not None:
-        axes.plot(*corner, "s", markersize=9.0, fillstyle="none", color="black", zorder=6.0, label="enlarged below")
-        _draw_corner(panels[1, 0], polyline, points, corner)
+        half = _zoom_size(polyline, points, corner)
+        corners = corner + half * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0]])
+        axes.plot(*corners.T, color="black", linewidth=0.8, zorder=6.0, label="enlarged below")
+        _draw_corner(panels[1, 0], polyline, reference, points, corner, half)
     _view_path(axes, trace, robot)
-    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=2)
     return figure
 
 
-def _plot_paths(axes: Axes, polyline: Array, points: Array) -> None:
-    """Draw the path (m, 2) and the way of the tracked point (n, 2), to the same scale along both axes."""
-    axes.plot(polyline[:, 0], polyline[:, 1], color=REFERENCE, linewidth=3.5, label="reference path")
+def _plot_paths(axes: Axes, polyline: Array, reference: Array, points: Array) -> None:
+    """Draw the path (m, 2), the reference and the tracked point on it, both (n, 2), to one scale along both axes."""
+    axes.plot(polyline[:, 0], polyline[:, 1], color="#bbbbbb", linewidth=1.0, label="path")
+    axes.plot(reference[:, 0], reference[:, 1], color=REFERENCE, linewidth=3.5, label="reference")
     axes.plot(points[:, 0], points[:, 1], color=ACTUAL, label="tracked point p")
     axes.set_aspect("equal", adjustable="datalim")
 
@@ -378,11 +382,10 @@ def _annotate_below(axes: Axes, place: Array, text: str) -> None:
     )
 
 
-def _draw_corner(axes: Axes, polyline: Array, points: Array, corner: Array) -> None:
-    """Draw path (m, 2) and tracked points (n, 2) around a corner, shape (2,), all in m."""
-    half = _zoom_size(polyline, points, corner)
+def _draw_corner(axes: Axes, polyline: Array, reference: Array, points: Array, corner: Array, half: float) -> None:
+    """Draw path (m, 2), reference and tracked points (n, 2) within ``half`` of a corner, shape (2,), all in m."""
     scale, unit = _length_unit(half)
-    _plot_paths(axes, (polyline - corner) * scale, (points - corner) * scale)
+    _plot_paths(axes, *((points_m - corner) * scale for points_m in (polyline, reference, points)))
     _view_at_least(axes, np.full(2, -half * scale), np.full(2, half * scale))
     axes.set_title(f"The first corner, enlarged ({unit} from {corner[0]:.3f} m, {corner[1]:.3f} m)")
 
@@ -471,7 +474,7 @@ def _length_unit(largest_m: float) -> tuple[float, str]:
 # The page -----------------------------------------------------------------------------------------------------------
 
 
-def _png(figure: Figure) -> bytes:
+def render_png(figure: Figure) -> bytes:
     """Render a figure; the same figure gives the same bytes."""
     buffer = io.BytesIO()
     with rc_context(STYLE):
@@ -486,7 +489,7 @@ def _page(result: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
     status = str(result.get("status", "unknown"))
     title = html.escape(_title(scenario))
     figures = "\n".join(_figure(name, picture) for name, picture in pictures.items())
-    numbers = {key: value for key, value in result.items() if key not in ("scenario", "status")}
+    numbers = {key: value for key, value in result.items() if key not in ("scenario", "status") and value != ""}
     return f"""<!DOCTYPE html>
 <html lang="en">
 <head>

@@ -4,6 +4,7 @@ import tomllib
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Parameter:
-    """A firmware parameter that can be set over CAN; ``integer`` ones have no fraction."""
+    """A firmware parameter that can be set over CAN; ``integer`` ones have no fraction, choices have names."""
 
     index: int
     name: str
@@ -29,6 +30,18 @@ class Parameter:
     maximum: float
     default: float
     source: str
+    choices: tuple[str, ...] = ()
+
+    def parse(self, text: str) -> float:
+        """Return the value that a text stands for: a number, or the name of a choice."""
+        if self.choices:
+            if text not in self.choices:
+                raise OmnibotError(f"no {self.name} {text!r}; there are: {', '.join(self.choices)}")
+            return float(self.choices.index(text))
+        try:
+            return self.check(float(text))
+        except ValueError:
+            raise OmnibotError(f"{self.name} = {text} must be a number") from None
 
     def check(self, value: float) -> float:
         """Return the value, or say by name what would be right."""
@@ -129,4 +142,5 @@ def _parameter(entry: dict[str, object]) -> Parameter:
         maximum=number("maximum"),
         default=number("default"),
         source=str(entry["source"]),
+        choices=tuple(str(choice) for choice in cast(list[object], entry.get("choices", []))),
     )

@@ -123,5 +123,5 @@ def test_send_of_another_kind_of_frame_is_refused(bus: InprocBus, frame: can.Mes
 
 
 def test_load_firmware_without_a_library_says_how_to_build_it() -> None:
-    with pytest.raises(OmnibotError, match=r"no firmware library .*nowhere.*cmake --build --preset host"):
+    with pytest.raises(OmnibotError, match=r"no firmware library .*nowhere.*tools/build host"):
         load_firmware(Path("nowhere"))

@@ -451,6 +451,47 @@ def test_silent_firmware_is_an_error_in_time_that_names_node_and_cure(
     )
 
 
+@pytest.mark.parametrize("name", ["STATUS", "PARAMETER_VALUE"])
+def test_frames_that_keep_coming_do_not_put_off_the_timeout(bus: DisturbedBus, tracking: Link, name: str) -> None:
+    other = CODEC[name]
+    values = [0.0] * len(other.fields)
+    chatter = can.Message(arbitration_id=other.arbitration_id, is_extended_id=False, data=other.pack(*values))
+
+    def chat_without_end(timeout: float | None) -> tuple[can.Message, bool]:
+        time.sleep(min(1e-4, timeout or 1e-4))
+        return chatter, False
+
+    bus._recv_internal = chat_without_end  # type: ignore[method-assign]
+    begin = time.monotonic()
+    with pytest.raises(SilentError):
+        tracking.tick(0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    assert time.monotonic() - begin < 5.0
+    with pytest.raises(OmnibotError, match="never falls silent"):
+        tracking.hello()
+
+
+def test_parameter_that_another_host_has_changed_is_noticed(bus: DisturbedBus, link: Link) -> None:
+    mine, other = link, Link(bus, CODEC, timeout_s=0.2)
+    epsilon = ROBOT.parameter("epsilon")
+    mine.set_parameter(epsilon, 0.01)
+    mine.check_parameter(epsilon, 0.01)
+    other.set_parameter(epsilon, 0.5)
+    with pytest.raises(RefusedError, match=r"holds epsilon = 0\.5, not 0\.01.*--node"):
+        mine.check_parameter(epsilon, 0.01)
+
+
+def test_wheel_speeds_lose_nothing_to_rounding_over_time(tracking: Link) -> None:
+    """0.3 of a step: rounded frame by frame it would be 0 for ever."""
+    step = CODEC["WHEEL_SPEED"].fields[0].unit_per_step
+    seen: list[float] = []
+    tracking._record = lambda frame: seen.extend(
+        CODEC["WHEEL_SPEED"].unpack(frame[2])[:1] if frame[1] == CODEC["WHEEL_SPEED"].arbitration_id else ()
+    )
+    for tick in range(100):
+        tracking.tick(tick, (0.0, 0.0, 0.0), (0.3 * step, 0.0, 0.0))
+    assert sum(seen) == pytest.approx(30.0 * step, abs=step)
+
+
 def test_firmware_of_another_node_is_silent(bus: DisturbedBus) -> None:
     with pytest.raises(SilentError, match="from node 4"):
         Link(bus, Codec(node=4), timeout_s=0.05).hello()

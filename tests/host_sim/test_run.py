@@ -2,6 +2,9 @@
 
 import json
 import math
+from collections.abc import Callable
+from functools import cache
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +38,7 @@ def run(out: Path, *options: str) -> dict[str, Any]:
 
 def max_error_m(out: Path, *options: str) -> float:
     """Return the largest tracking error of a run that completed."""
-    result = run(out, *RHOMBUS, "--duration", "4", "--epsilon", "0.01", *options)
+    result = run(out, *RHOMBUS, "--duration", "4", *options)
     assert result["status"] == "completed"
     return float(result["tracking"]["max_error_m"])
 
@@ -52,6 +55,44 @@ def test_order_1_corrects_what_order_0_leaves(tmp_path: Path, traction: str, ord
     assert order0 == pytest.approx(order0_m, rel=0.1)
     assert order1 == pytest.approx(order1_m, rel=0.1)
     assert order0 > 5.0 * order1
+
+
+@pytest.fixture(scope="module")
+def errors_m(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., float]:
+    """Return the largest tracking error of a run, remembered: several tests compare with the same ones."""
+
+    @cache
+    def of(traction: str, speed: str, epsilon: str, order: str) -> float:
+        options = ("--traction", traction, "--speed", speed, "--epsilon", epsilon, "--order", order)
+        return max_error_m(tmp_path_factory.mktemp("run"), *options)
+
+    return of
+
+
+@pytest.mark.parametrize(
+    ("traction", "speed", "epsilon", "order", "times"),
+    [
+        ("linear", "0.5", "0.01", "1", 8.0),
+        ("linear", "0.5", "0.01", "2", 25.0),
+        ("magic", "1", "0.01", "3", 12.0),
+        ("magic", "1", "0.01", "exact", 12.0),
+        ("magic", "1", "0.01", "observer", 40.0),
+        ("magic", "1", "0.05", "observer", 20.0),
+        ("magic", "1", "0.1", "observer", 10.0),
+    ],
+)
+def test_error_falls_below_that_of_order_0(
+    errors_m: Callable[..., float], traction: str, speed: str, epsilon: str, order: str, times: float
+) -> None:
+    assert errors_m(traction, speed, epsilon, "0") >= times * errors_m(traction, speed, epsilon, order)
+
+
+@pytest.mark.parametrize("traction", ["linear", "magic"])
+@pytest.mark.parametrize("speed", ["0.5", "1"])
+def test_higher_order_is_never_worse(errors_m: Callable[..., float], traction: str, speed: str) -> None:
+    errors = [errors_m(traction, speed, "0.01", order) for order in ("0", "1", "2", "3", "exact")]
+    for lower, higher in pairwise(errors):
+        assert higher <= 1.02 * lower
 
 
 @pytest.mark.parametrize(
@@ -100,7 +141,7 @@ def test_result_holds_every_input_and_figure(tmp_path: Path) -> None:
     scenario = result["scenario"]
     assert scenario["delta_m_per_s"] == 1e-3
     assert scenario["speed_length_m"] == 1.0
-    assert scenario["parameters"] == {"position_damping_per_s": 30.0}
+    assert scenario["parameters"] == {"position_damping_per_s": "30"}
     assert result["timing"]["steps"] == 1201
     assert set(result["timing"]["step_time_us"]) == {"mean", "p99", "max"}
     assert result["bus"]["frames"] > 5 * 1201
@@ -109,6 +150,12 @@ def test_result_holds_every_input_and_figure(tmp_path: Path) -> None:
     assert {"path.png", "error.png", "slip.png", "torque.png", "report.html", "bus.log"} <= {
         file.name for file in tmp_path.iterdir()
     }
+
+
+def test_setting_by_name_is_that_of_the_option(tmp_path: Path) -> None:
+    run(tmp_path / "a", *SHORT, "--set", "order=exact", "--set", "output=point")
+    run(tmp_path / "b", *SHORT, "--order", "exact", "--output", "point")
+    assert compare(Trace.load(tmp_path / "a"), Trace.load(tmp_path / "b")) == []
 
 
 def test_changed_gain_changes_the_run(tmp_path: Path) -> None:
@@ -143,12 +190,15 @@ def test_mu_of_the_firmware_predicts_the_slip_of_the_plant(tmp_path: Path) -> No
         (["--epsilon", "2"], "epsilon"),
         (["--epsilon", "nan"], "epsilon"),
         (["--traction", "glue"], "linear"),
-        (["--order", "7"], "order"),
+        (["--order", "7"], "no order '7'; there are: 0, 1, 2, 3, exact, observer"),
+        (["--output", "pose"], "no output 'pose'; there are: posture, point"),
         (["--bus", "vcan9"], "tools/with-vcan"),
         (["-i", "nonsense", "-c", "x"], "cannot open the bus"),
         (["--node", "16"], "0 … 15"),
         (["--set", "mass=3"], "position_damping_per_s"),
-        (["--set", "order"], "NAME=NUMBER"),
+        (["--set", "order"], "NAME=VALUE"),
+        (["--set", "traction=0"], "there are: linear, magic"),
+        (["--set", "epsilon=stiff"], "must be a number"),
         (["--set", "position_damping_per_s=-3"], "position_damping_per_s"),
         (["--pace", "0"], "--pace"),
         (["--timeout", "-1"], "--timeout"),

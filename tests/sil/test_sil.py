@@ -90,7 +90,8 @@ def test_second_run_on_the_same_firmware_gives_the_same_trace(
     tmp_path: Path, start_firmware: Start, inproc: Trace
 ) -> None:
     start_firmware()
-    assert omnibot_run(tmp_path / "first", "--bus", "vcan0") == (0, "")
+    changed = ["--set", "position_damping_per_s=40", "--set", "torque_bound_Nm=0.05"]
+    assert omnibot_run(tmp_path / "first", "--bus", "vcan0", *changed) == (0, "")
     assert omnibot_run(tmp_path / "second", "--bus", "vcan0") == (0, "")
     assert compare(Trace.load(tmp_path / "second"), inproc) == []
 
