@@ -192,7 +192,10 @@ bool control_step(const control_params_t *params, control_state_t *state, const 
                   control_output_t *output)
 {
     *output = (control_output_t){0};
-    const pose_sum_t pose = input->pose_is_new ? (pose_sum_t){.value = input->pose} : state->pose;
+    pose_sum_t pose = state->pose;
+    if (input->pose_is_new) {
+        pose = (pose_sum_t){.value = input->pose};
+    }
     if (!input_is_finite(input) || !vec3_is_finite(pose.value)) {
         return false;
     }

@@ -1,6 +1,6 @@
 """Speed of the plant against scipy's Radau, in the same run on the same periods; prints JSON.
 
-    python tests/bench/bench_plant.py
+    .venv/bin/python tests/bench/bench_plant.py
 
 Two loads: `tracking`, torques as smooth as a controller's with a little noise, and `random`, a new torque of up to half
 the motor's limit in every period, so that every period begins with a boundary layer.

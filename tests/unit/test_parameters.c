@@ -23,7 +23,7 @@ static const struct {
     {0.0f, 1.0f, 0.0f, true},       // output
     {0.0f, 1.0f, 1.0f, true},       // traction
     {0.1f, 1000.0f, 5.0f, false},   // friction_limit_N
-    {0.01f, 1e9f, 0.3f, false},      // series_ratio_max
+    {0.01f, 1e9f, 0.3f, false},     // series_ratio_max
     {0.0f, 1.0f, 0.0f, false},      // observer_lag_s
     {0.0f, 3600.0f, 0.5f, false},   // pose_timeout_s
 };
