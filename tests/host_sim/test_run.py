@@ -111,6 +111,15 @@ def test_whole_lap_starts_and_ends_at_rest(tmp_path: Path) -> None:
     assert abs(trace.body_twist[-1]).max() < 5e-3  # what the slower pole leaves of the ramp
 
 
+def test_point_output_tracks_the_point_and_leaves_the_heading(tmp_path: Path) -> None:
+    corner = [*RHOMBUS, "--duration", "4", "--speed", "0.5"]
+    posture = run(tmp_path / "posture", *corner, "--output", "posture")["tracking"]
+    point = run(tmp_path / "point", *corner, "--output", "point")["tracking"]
+    assert point["max_error_m"] < 1.2 * posture["max_error_m"]
+    assert posture["max_heading_error_rad"] < 1e-3
+    assert point["max_heading_error_rad"] > 0.1
+
+
 # ---- determinism
 
 
