@@ -220,7 +220,7 @@ def main() -> None:
     sys.stdout.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]  # a terminal without our letters
     try:
         app()
-    except OmnibotError as error:
+    except (OmnibotError, OSError) as error:
         # Text, not markup: what the user typed may hold brackets.
         Console(stderr=True).print(Text.assemble(("omnibot:", "bold red"), f" {error}"), soft_wrap=True)
         if "--json" in sys.argv and not isinstance(error, RunFailedError):
