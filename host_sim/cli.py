@@ -199,10 +199,10 @@ def paper(
 def sweep(
     name: Annotated[str, typer.Argument(help="stability, robustness or odometry")],
     out: Annotated[Path | None, typer.Option(help="folder for the table (default: runs/sweep-NAME)")] = None,
-    jobs: Annotated[int | None, typer.Option(help="processes (default: one a core)")] = None,
+    jobs: Annotated[int | None, typer.Option(min=1, help="processes (default: one a core)")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="print the rows as JSON instead of the table")] = False,
 ) -> None:
-    """Run a table of scenarios in-process: stability 1,680 runs, robustness 66, odometry 12."""
+    """Run a table of scenarios in-process: stability 1,920 runs, robustness 66, odometry 12."""
     if name not in SWEEPS:
         raise OmnibotError(f"no sweep {name!r}; there are: {', '.join(SWEEPS)}")
     folder = out or ROOT / "runs" / f"sweep-{name}"

@@ -20,7 +20,7 @@ class Sensors:
     Attributes
     ----------
     pose_rate_hz
-        Poses a second; None: one every tick; 0: one at the first tick and no more.
+        Poses a second, rounded to whole ticks between two; None: one every tick; 0: one at the first tick and no more.
     pose_delay_s
         How old a pose is when it is sent.
     encoder_counts
@@ -32,8 +32,9 @@ class Sensors:
     encoder_counts: int = 0
 
     def __post_init__(self) -> None:
-        if self.pose_rate_hz is not None and not 0.0 <= self.pose_rate_hz < math.inf:
-            raise OmnibotError(f"pose_rate_hz = {self.pose_rate_hz:g} must be 0 or above")
+        rate = self.pose_rate_hz
+        if rate is not None and rate != 0.0 and not 1e-3 <= rate < math.inf:
+            raise OmnibotError(f"pose_rate_hz = {rate:g} must be 0, or 0.001 or above")
         if not 0.0 <= self.pose_delay_s <= 1.0:
             raise OmnibotError(f"pose_delay_s = {self.pose_delay_s:g} must be 0 … 1 s")
         if not 0 <= self.encoder_counts <= 1 << 24:

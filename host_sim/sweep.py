@@ -24,7 +24,7 @@ from host_sim.sensors import IDEAL_SENSORS, Sensors
 from host_sim.traction import TractionKind
 
 ORDERS = ("0", "1", "2", "3", "exact", "observer")
-EPSILONS = (1e-11, 1e-8, 5e-5, 1e-3, 1e-2, 5e-2, 0.2)
+EPSILONS = (1e-11, 1e-8, 5e-5, 1e-3, 1e-2, 5e-2, 0.2, 1.0)
 SPEEDS_M_PER_S = (0.0234, 0.0936, 0.5, 1.0, 1.5)
 TRACTIONS: tuple[TractionKind, ...] = ("linear", "magic")
 

@@ -141,6 +141,9 @@ static void advance_to(app_t *app, uint32_t tick)
         const uint32_t steps = ticks <= APP_TICK_GAP_MAX + 1 ? ticks : 0;
         trajectory_advance(app->store.segment, app->store.segment_count, &app->cursor,
                            steps * app->robot->control_period_us);
+        for (uint32_t missed = 1; missed < steps; missed++) {
+            control_coast(&app->control, &app->state);
+        }
     }
     age(&app->pose, ticks);
     age(&app->wheel_speed, ticks);
@@ -221,7 +224,10 @@ static uint8_t start(app_t *app)
         return REFUSAL_NO_TRAJECTORY;
     }
     app->cursor = (trajectory_cursor_t){0, 0};
-    app->state = (control_state_t){.pose.value = app->pose.value};
+    app->state = (control_state_t){0};
+    // The pause before had no ticks to tell its length: what was read then is of unknown age.
+    app->pose = (reading_t){.age_ticks = UINT32_MAX};
+    app->wheel_speed = (reading_t){.age_ticks = UINT32_MAX};
     app->tick_known = false;
     app->missed_ticks = 0;
     app->mode = mode_after(app->mode, EVENT_START);

@@ -16,8 +16,11 @@ static bool is_allowed(const parameter_description_t *description, float value)
     if (!(value >= description->minimum && value <= description->maximum)) {
         return false;
     }
+    if (!description->integer) {
+        return true;
+    }
     const float fraction = value - (float)(int32_t)value;
-    return !description->integer || !(fabsf(fraction) > 0.0f);
+    return !(fabsf(fraction) > 0.0f);
 }
 
 uint8_t parameters_set(parameters_t *parameters, uint8_t index, float value)

@@ -4,8 +4,6 @@
 #include "kinematics.h"
 #include "manifold.h"
 
-enum { OBSERVER_ROUNDS = 3 };
-
 /// c = ε κ: how much slip velocity a wheel force costs.
 typedef struct {
     float mps_per_N;
@@ -48,7 +46,8 @@ static compliance_t slip_compliance(const control_params_t *params, vec3_t odome
 {
     const mat3_t *mass_kg = &params->robot->slip_twist_of_accel;
     const float translation = mass_kg->m[0][0] * params->law.damping_per_s.x;
-    const float yaw = mass_kg->m[2][2] * params->law.damping_per_s.z;
+    const float heading_damping = params->law.output == OUTPUT_POSTURE ? params->law.damping_per_s.z : 0.0f;
+    const float yaw = mass_kg->m[2][2] * heading_damping;
     const float speed_mps = kinematics_speed(odometry, params->speed_length_m) + params->delta_mps;
     const float wanted = params->floor.compliance_per_N * speed_mps;
     const float most = params->series_ratio_max / (translation > yaw ? translation : yaw);
@@ -93,19 +92,31 @@ static vec3_t twist_of_limit(const step_t *step)
     return twist_of_force(step, force_at(step, twist));
 }
 
-/// ν from the slip that the forces of the past have made, on the traction curve. V is that of ν itself: each round of
-/// its fixed point leaves a share of the order of the slip ratio. Theory (O2).
+/// V + δ where V is the speed of the twist looked for, ν = v_odo − (V + δ) s: the root of a quadratic that is v_odo's
+/// own speed without slip. Slip ratios beyond one leave no root near it; then the nearest of δ … twice v_odo's is
+/// taken. Theory (O3).
+static float speed_behind_slip(const control_params_t *params, vec3_t odometry, vec3_t slip_twist)
+{
+    const float delta = params->delta_mps, length_m = params->speed_length_m;
+    const float speed = kinematics_speed(odometry, length_m);
+    const float n = kinematics_speed_product(slip_twist, slip_twist, length_m);
+    const float p = kinematics_speed_product(odometry, slip_twist, length_m) - delta;
+    const float q = (speed - delta) * (speed + delta);
+    const float discriminant = p * p + (1.0f - n) * q;
+    const float denominator = p + sqrtf(discriminant > 0.0f ? discriminant : 0.0f);
+    const float root = q > 0.0f && denominator > 0.0f ? q / denominator : speed + delta;
+    const float most = 2.0f * (speed + delta);
+    const float bounded = root < most ? root : most;
+    return bounded > delta ? bounded : delta;
+}
+
+/// ν from the slip that the forces of the past have made, on the traction curve. Theory (O2).
 static vec3_t twist_of_observer(const step_t *step, vec3_t force_estimate_N)
 {
     const control_params_t *params = step->params;
     const vec3_t slip_ratio = floor_slip_ratios(&params->floor, force_estimate_N);
     const vec3_t slip_twist = mat3_apply(&params->robot->twist_of_contact_speed, slip_ratio);
-    vec3_t twist = step->odometry;
-    for (int round = 0; round < OBSERVER_ROUNDS; round++) {
-        const float speed_mps = kinematics_speed(twist, params->speed_length_m) + params->delta_mps;
-        twist = vec3_add_scaled(step->odometry, -speed_mps, slip_twist);
-    }
-    return twist;
+    return vec3_add_scaled(step->odometry, -speed_behind_slip(params, step->odometry, slip_twist), slip_twist);
 }
 
 static vec3_t corrected_twist(const step_t *step, const control_state_t *state)
@@ -174,18 +185,26 @@ static float observer_gain(const control_params_t *params, float speed_mps, floa
     return 1.0f - 1.0f / (1.0f + x * (1.0f + x * (0.5f + x * (1.0f / 6.0f))));
 }
 
-/// The state for the next tick: λ̂ follows the forces asked for (O1), the pose the corrected twist (K5).
-static control_state_t next_state(const control_params_t *params, const control_state_t *state, pose_sum_t pose,
-                                  const control_output_t *output)
+/// The state a period on, with the torque held: λ̂ follows the forces asked for (O1), the pose the twist (K5).
+static control_state_t next_state(const control_params_t *params, const control_state_t *now)
 {
-    const vec3_t lag = vec3_sub(output->wheel_force_N, state->force_estimate_N);
+    const vec3_t lag = vec3_sub(now->wheel_force_N, now->force_estimate_N);
     const float period_s = (float)params->robot->control_period_us * 1.0e-6f;
-    const float speed_mps = kinematics_speed(output->twist, params->speed_length_m) + params->delta_mps;
-    const vec3_t acceleration = manifold_acceleration(params->robot, output->twist, output->wheel_force_N);
+    const float speed_mps = kinematics_speed(now->twist, params->speed_length_m) + params->delta_mps;
+    const float gain = observer_gain(params, speed_mps, period_s);
+    const vec3_t acceleration = manifold_acceleration(params->robot, now->twist, now->wheel_force_N);
+    const vec3_t halfway = vec3_add_scaled(now->twist, 0.5f * period_s, acceleration);
     return (control_state_t){
-        .force_estimate_N = vec3_add_scaled(state->force_estimate_N, observer_gain(params, speed_mps, period_s), lag),
-        .pose = kinematics_moved_pose(pose, vec3_add_scaled(output->twist, 0.5f * period_s, acceleration), period_s),
+        .force_estimate_N = vec3_add_scaled(now->force_estimate_N, gain, lag),
+        .pose = kinematics_moved_pose(now->pose, halfway, period_s),
+        .twist = vec3_add_scaled(now->twist, period_s, acceleration),
+        .wheel_force_N = now->wheel_force_N,
     };
+}
+
+void control_coast(const control_params_t *params, control_state_t *state)
+{
+    *state = next_state(params, state);
 }
 
 bool control_step(const control_params_t *params, control_state_t *state, const control_input_t *input,
@@ -214,7 +233,13 @@ bool control_step(const control_params_t *params, control_state_t *state, const 
     output->twist = demand.twist;
     output->eta = demand.eta;
     output->error = step.tracking.error;
-    const control_state_t next = next_state(params, state, pose, output);
+    const control_state_t now = {
+        .force_estimate_N = state->force_estimate_N,
+        .pose = pose,
+        .twist = output->twist,
+        .wheel_force_N = output->wheel_force_N,
+    };
+    const control_state_t next = next_state(params, &now);
     if (!vec3_is_finite(output->torque_Nm) || !vec3_is_finite(output->mu_mps) || !vec3_is_finite(next.pose.value)) {
         *output = (control_output_t){0};
         return false;

@@ -38,6 +38,8 @@ typedef struct {
 typedef struct {
     vec3_t force_estimate_N; // λ̂, the observer's
     pose_sum_t pose;         // dead-reckoned to the next tick
+    vec3_t twist;            // ν expected then
+    vec3_t wheel_force_N;    // λ asked for last
 } control_state_t;
 
 typedef struct {
@@ -57,6 +59,9 @@ typedef struct {
     bool force_bounded;
     bool torque_bounded;
 } control_output_t;
+
+/// Moves the state on by a period in which no step was asked for and the last torque was held.
+void control_coast(const control_params_t *params, control_state_t *state);
 
 /// One step. Returns false, with an output of zeros and the state as it was, when an input or a result is not finite.
 /// The bounds scale all three wheels alike: the direction of the force on the body is kept, its size is not.

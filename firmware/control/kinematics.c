@@ -32,16 +32,18 @@ pose_sum_t kinematics_moved_pose(pose_sum_t pose, vec3_t twist, float time_s)
     return (pose_sum_t){.value = {sum.x, sum.y, angle_wrap(sum.z)}, .rest = rest};
 }
 
+float kinematics_speed_product(vec3_t a, vec3_t b, float speed_length_m)
+{
+    return a.x * b.x + a.y * b.y + speed_length_m * speed_length_m * (a.z * b.z);
+}
+
 float kinematics_speed(vec3_t twist, float speed_length_m)
 {
-    const float turn = speed_length_m * twist.z;
-    return sqrtf(twist.x * twist.x + twist.y * twist.y + turn * turn);
+    return sqrtf(kinematics_speed_product(twist, twist, speed_length_m));
 }
 
 float kinematics_speed_rate(vec3_t twist, vec3_t acceleration, float speed_length_m)
 {
     const float speed = kinematics_speed(twist, speed_length_m);
-    const float turn = speed_length_m * speed_length_m * twist.z;
-    const float product = twist.x * acceleration.x + twist.y * acceleration.y + turn * acceleration.z;
-    return speed > 0.0f ? product / speed : 0.0f;
+    return speed > 0.0f ? kinematics_speed_product(twist, acceleration, speed_length_m) / speed : 0.0f;
 }

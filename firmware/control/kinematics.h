@@ -32,6 +32,9 @@ pose_sum_t kinematics_moved_pose(pose_sum_t pose, vec3_t twist, float time_s);
 /// Speed V = (νx² + νy² + (ℓ ω)²)^½ in m/s. Paper (14).
 float kinematics_speed(vec3_t twist, float speed_length_m);
 
+/// The product whose square root of a twist with itself is V: a·b = ax bx + ay by + ℓ² az bz.
+float kinematics_speed_product(vec3_t a, vec3_t b, float speed_length_m);
+
 /// V̇ for a twist that changes at the given rate; 0 at rest, where V has no derivative.
 float kinematics_speed_rate(vec3_t twist, vec3_t acceleration, float speed_length_m);
 

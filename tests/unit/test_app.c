@@ -852,14 +852,41 @@ static void test_start_forgets_the_state_of_the_last_drive(void)
     tick(1001);
     TEST_ASSERT_GREATER_THAN_FLOAT(0.01f, vec3_max_abs(app.state.force_estimate_N));
     command(OPERATION_STOP);
-    pose(0.25f, -0.5f, 0.125f);
 
     command(OPERATION_START);
 
     TEST_ASSERT_FLOAT_WITHIN(0.0f, 0.0f, vec3_max_abs(app.state.force_estimate_N));
-    TEST_ASSERT_FLOAT_WITHIN(1e-4f, 0.25f, app.state.pose.value.x);
-    TEST_ASSERT_FLOAT_WITHIN(1e-4f, -0.5f, app.state.pose.value.y);
-    TEST_ASSERT_FLOAT_WITHIN(1e-4f, 0.125f, app.state.pose.value.z);
+}
+
+static void test_start_does_not_drive_on_what_was_read_before_it(void)
+{
+    make_moving();
+    tick(1001);
+    command(OPERATION_STOP);
+    pose(0.0f, 0.0f, 0.0f);
+    wheel_speed(0.0f, 0.0f, 0.0f);
+
+    command(OPERATION_START);
+    wheel_speed(0.0f, 0.0f, 0.0f);
+    sync(1002);
+
+    assert_fault(FAULT_STALE_POSE);
+}
+
+static void test_missed_ticks_move_the_dead_reckoned_pose_as_far_as_driven_ones(void)
+{
+    make_moving();
+    drive_without_pose(100, 0.5f);
+    const float before_m = app.state.pose.value.x;
+    const vec3_t wheels = mat3_apply(&omnibot.wheel_rate_of_twist, (vec3_t){0.5f, 0.0f, 0.0f});
+    sync(1101);
+    const float a_tick_m = app.state.pose.value.x - before_m;
+
+    wheel_speed(wheels.x, wheels.y, wheels.z);
+    sync(1107);
+
+    TEST_ASSERT_EQUAL_UINT8(MODE_TRACKING, got.torque.mode);
+    TEST_ASSERT_FLOAT_WITHIN(0.3f * a_tick_m, before_m + 7.0f * a_tick_m, app.state.pose.value.x);
 }
 
 static void test_wheel_speed_missing_for_five_ticks_is_borne_and_for_six_a_fault(void)
@@ -1425,6 +1452,8 @@ int main(void)
     RUN_TEST(test_pose_missing_is_dead_reckoned_from_the_wheels);
     RUN_TEST(test_pose_that_comes_again_replaces_the_dead_reckoned_one);
     RUN_TEST(test_start_forgets_the_state_of_the_last_drive);
+    RUN_TEST(test_start_does_not_drive_on_what_was_read_before_it);
+    RUN_TEST(test_missed_ticks_move_the_dead_reckoned_pose_as_far_as_driven_ones);
     RUN_TEST(test_wheel_speed_missing_for_five_ticks_is_borne_and_for_six_a_fault);
     RUN_TEST(test_sensor_data_after_five_missing_ticks_are_fresh_again);
     RUN_TEST(test_ticks_lost_in_a_gap_make_sensor_data_older);
