@@ -233,7 +233,7 @@ def document(coefficients: Coefficients, robot: Robot) -> str:
     missing += [(f"ε µ̇{i + 1}", closed_form(x)) for i, x in enumerate(coefficients.missing_mu)]
     parts.append(
         "## What (9)-(10) leave out\n\n"
-        "Quadratic in ε µ. The simulated robot has it, the controller has it from order 2 on.\n\n" + table(missing)
+        "Quadratic in ε µ. The simulated robot has it, the controller has it from order 1 on.\n\n" + table(missing)
     )
     return "\n".join(parts)
 
