@@ -77,7 +77,7 @@ def test_sil_stopped_and_continued_gives_the_same_trace(tmp_path: Path, start_fi
 
     thread = threading.Thread(target=stop_and_continue)
     thread.start()
-    code, error = omnibot_run(tmp_path, "--bus", "vcan0")
+    code, error = omnibot_run(tmp_path, "--bus", "vcan0", "--pace", "0.3")
     thread.join()
     assert (code, error) == (0, "")
     assert compare(Trace.load(tmp_path), inproc) == []
@@ -149,7 +149,8 @@ def test_firmware_lost_in_the_run_keeps_what_was_recorded(
 
     thread = threading.Thread(target=lose)
     thread.start()
-    code, error = omnibot_run(tmp_path, "--bus", "vcan0", "--timeout", "0.5")
+    # Slowly, so that the run is not over before the other thread has come to its turn.
+    code, error = omnibot_run(tmp_path, "--bus", "vcan0", "--timeout", "0.5", "--pace", "0.3")
     thread.join()
     assert code == 1
     assert "no TORQUE for tick" in error
