@@ -155,7 +155,7 @@ def test_firmware_lost_in_the_run_keeps_what_was_recorded(
     assert code == 1
     assert "no TORQUE for tick" in error
     assert status(tmp_path)["status"] == "timeout"
-    assert 300 <= len(Trace.load(tmp_path)) < 1201
+    assert 299 <= len(Trace.load(tmp_path)) < 1201  # the 300th TORQUE may have come without its SLIP
     assert (tmp_path / "report.html").exists()
 
 
