@@ -31,6 +31,19 @@ SPOKEN = {
     "TORQUE": ("wheel1_Nm", "wheel2_Nm", "wheel3_Nm", "counter", "mode"),
     "SLIP": ("mu1_m_per_s", "mu2_m_per_s", "mu3_m_per_s", "counter"),
     "STATUS": ("mode", "refusal", "fault", "fault_mask", "dropped_frames", "missed_ticks"),
+    "TIMING": ("step_min_us", "step_mean_us", "step_max_us", "overruns"),
+    "HEALTH": (
+        "reset_cause",
+        "clock_source",
+        "can_state",
+        "bridges",
+        "can_tx_errors",
+        "can_rx_errors",
+        "can_bus_offs",
+        "can_rx_lost",
+        "supply_V",
+    ),
+    "CRASH": ("pc", "lr"),
     "PARAMETER_SET": ("index", "value", "counter"),
     "PARAMETER_GET": ("index",),
     "PARAMETER_VALUE": ("index", "result", "value"),
@@ -38,7 +51,7 @@ SPOKEN = {
     "TRAJECTORY_DATA": ("offset_bytes", "byte0", "byte1", "byte2", "byte3", "byte4", "byte5"),
     "TRAJECTORY_ACK": ("offset_bytes", "result"),
     "HELLO": ("protocol_hash",),
-    "IDENTITY": ("protocol_hash", "major", "minor", "patch", "peer_matches"),
+    "IDENTITY": ("protocol_hash", "major", "minor", "patch", "peer_matches", "drive"),
 }
 
 

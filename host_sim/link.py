@@ -166,8 +166,11 @@ class Link:
 
     # ---- before and after the drive
 
-    def hello(self) -> Identity:
-        """Make sure that a firmware is there that speaks our protocol, and put it into IDLE without faults."""
+    def hello(self, pace: str = "lockstep") -> Identity:
+        """Make sure that a firmware is there that speaks our protocol, and put it into IDLE without faults.
+
+        ``pace`` is ``lockstep`` or ``realtime``: what it is to step by. Its own motors, if it has any, are off then.
+        """
         self._drain()
         identity = self._identity()
         theirs = int(identity["protocol_hash"])
@@ -178,9 +181,22 @@ class Link:
             )
         self.command("STOP")
         self.command("CLEAR")
+        self._use(pace)
         self._dropped_before = int(self.status.get("dropped_frames", 0))
         major, minor, patch = (int(identity[part]) for part in ("major", "minor", "patch"))
         return Identity(theirs, f"{major}.{minor}.{patch}")
+
+    def _use(self, pace: str) -> None:
+        """Have the robot take its sensors from us, and step as ``pace`` says."""
+        try:
+            self.command(f"USE_{pace.upper()}")
+        except RefusedError as error:
+            if "UNABLE" not in str(error):
+                raise
+            raise RefusedError(
+                f"node {self.codec.node} on {self.bus.channel_info} cannot step in {pace}: "
+                f"start it as omnibot-sil --can INTERFACE --time {pace}"
+            ) from error
 
     def _identity(self) -> dict[str, float]:
         """Ask who is there until somebody answers: a firmware that was just started may not listen yet."""
@@ -207,7 +223,7 @@ class Link:
         self._drain()
         self.send("COMMAND", message.choices["operation"][operation], self._next_counter())
         # A STATUS that was under way before the command may come before the one that answers it.
-        wanted = {"START": "TRACKING", "STOP": None, "CLEAR": "IDLE"}[operation]
+        wanted = {"START": "TRACKING", "CLEAR": "IDLE"}.get(operation)
         status = self.codec["STATUS"]
         while True:
             answer = self._wait_for("STATUS")

@@ -1,59 +1,12 @@
 // SPDX-License-Identifier: MIT
 #include "app.h"
 
+#include "counter.h"
 #include "messages.h"
-#include "mode.h"
+#include "pace.h"
+#include "report.h"
 
 #include <string.h>
-
-static void count(uint16_t *counter, uint32_t more)
-{
-    const uint32_t sum = *counter + (more < UINT16_MAX ? more : UINT16_MAX);
-    *counter = sum < UINT16_MAX ? (uint16_t)sum : UINT16_MAX;
-}
-
-static void send(app_t *app, const frame_t *frame)
-{
-    if (!outbox_push(&app->outbox, frame)) {
-        count(&app->dropped_frames, 1);
-    }
-}
-
-// ---- mode and faults
-
-static void send_status(app_t *app)
-{
-    const status_message_t status = {
-        .mode = app->mode,
-        .refusal = app->refusal,
-        .fault = app->fault,
-        .fault_mask = app->fault_mask,
-        .dropped_frames = app->dropped_frames,
-        .missed_ticks = app->missed_ticks,
-    };
-    frame_t frame;
-    status_encode(&frame, app->node, &status);
-    send(app, &frame);
-}
-
-/// For events that are not a COMMAND: it has its one STATUS anyway, and the host takes the first for the answer.
-static void handle_event(app_t *app, event_t event)
-{
-    const uint8_t mode = mode_after(app->mode, event);
-    if (mode != app->mode) {
-        app->mode = mode;
-        send_status(app);
-    }
-}
-
-static void raise_fault(app_t *app, uint8_t fault)
-{
-    if (app->fault == FAULT_NONE) {
-        app->fault = fault;
-    }
-    app->fault_mask |= (uint16_t)(1u << fault);
-    handle_event(app, EVENT_FAULT);
-}
 
 static void clear_faults(app_t *app)
 {
@@ -62,129 +15,21 @@ static void clear_faults(app_t *app)
     app->mode = mode_after(app->mode, EVENT_CLEAR);
 }
 
-// ---- one tick
+// ---- what paces and moves the robot
 
-static void age(reading_t *reading, uint32_t ticks)
+static uint8_t use(app_t *app, uint8_t drive)
 {
-    const uint32_t room = UINT32_MAX - reading->age_ticks;
-    reading->age_ticks = reading->fresh ? 0 : reading->age_ticks + (ticks < room ? ticks : room);
-    reading->fresh = false;
-}
-
-/// Raises the faults of missing data. What the controller needs must be there before it is asked.
-static void check_readings(app_t *app)
-{
-    if ((float)app->pose.age_ticks * (float)app->robot->control_period_us >
-        app->parameters.value[PARAMETER_POSE_TIMEOUT_S] * 1.0e6f) {
-        raise_fault(app, FAULT_STALE_POSE);
+    if (app->mode != MODE_IDLE) {
+        return REFUSAL_WRONG_MODE;
     }
-    if (app->wheel_speed.age_ticks > APP_STALE_TICKS_MAX) {
-        raise_fault(app, FAULT_STALE_WHEEL_SPEED);
+    if ((app->port.drives & 1u << drive) == 0) {
+        return REFUSAL_UNABLE;
     }
-}
-
-/// The torque of this tick; zeros when the mode does not drive or a fault comes up.
-static control_output_t drive(app_t *app)
-{
-    control_output_t output = {0};
-    if (!mode_drives(app->mode)) {
-        return output;
-    }
-    const control_input_t input = {
-        .pose_is_new = app->pose.age_ticks == 0,
-        .pose = app->pose.value,
-        .wheel_speed_rad_per_s = app->wheel_speed.value,
-        .reference = trajectory_reference(app->store.segment, app->store.segment_count, &app->cursor),
-    };
-    if (!control_step(&app->control, &app->state, &input, &output)) {
-        raise_fault(app, FAULT_NOT_FINITE);
-    }
-    return output;
-}
-
-static void compose_answers(app_t *app, const control_output_t *output)
-{
-    const uint8_t counter = (uint8_t)(app->tick & 0xFu);
-    const torque_message_t torque = {
-        .wheel1_Nm = output->torque_Nm.x,
-        .wheel2_Nm = output->torque_Nm.y,
-        .wheel3_Nm = output->torque_Nm.z,
-        .counter = counter,
-        .mode = app->mode,
-    };
-    const slip_message_t slip = {
-        .mu1_m_per_s = output->mu_mps.x,
-        .mu2_m_per_s = output->mu_mps.y,
-        .mu3_m_per_s = output->mu_mps.z,
-        .counter = counter,
-    };
-    torque_encode(&app->torque_answer, app->node, &torque);
-    slip_encode(&app->slip_answer, app->node, &slip);
-}
-
-static void send_answers(app_t *app)
-{
-    send(app, &app->torque_answer);
-    send(app, &app->slip_answer);
-}
-
-/// Moves time on to a tick; a long gap while driving is a fault.
-static void advance_to(app_t *app, uint32_t tick)
-{
-    const uint32_t ticks = app->tick_known ? tick - app->tick : 1;
-    if (app->tick_known && mode_drives(app->mode)) {
-        count(&app->missed_ticks, ticks - 1);
-        if (ticks - 1 > APP_TICK_GAP_MAX) {
-            raise_fault(app, FAULT_TICK_GAP);
-        }
-        // A gap that is no fault is at most a few periods: the product cannot overflow.
-        const uint32_t steps = ticks <= APP_TICK_GAP_MAX + 1 ? ticks : 0;
-        trajectory_advance(app->store.segment, app->store.segment_count, &app->cursor,
-                           steps * app->robot->control_period_us);
-        for (uint32_t missed = 1; missed < steps; missed++) {
-            control_coast(&app->control, &app->state);
-        }
-    }
-    age(&app->pose, ticks);
-    age(&app->wheel_speed, ticks);
-    app->tick = tick;
-    app->tick_known = true;
-}
-
-static void on_tick(app_t *app, uint32_t tick)
-{
-    advance_to(app, tick);
-    if (mode_drives(app->mode)) {
-        check_readings(app);
-    }
-    const control_output_t output = drive(app);
-    compose_answers(app, &output);
-    send_answers(app);
-    if (tick % APP_STATUS_EVERY_TICKS == 0) {
-        send_status(app);
-    }
-}
-
-static decode_result_t on_sync(app_t *app, const frame_t *frame)
-{
-    sync_message_t sync;
-    const decode_result_t result = sync_decode(&sync, frame);
-    if (result != DECODE_OK) {
-        return result;
-    }
-    if (app->tick_known && sync.tick == app->tick) {
-        if (!mode_drives(app->mode)) {
-            compose_answers(app, &(control_output_t){0}); // it may have driven when the tick came first
-        }
-        send_answers(app);
-        return result;
-    }
-    if (app->tick_known && sync.tick < app->tick) {
-        app->tick_known = false;
-        handle_event(app, EVENT_RESTART);
-    }
-    on_tick(app, sync.tick);
-    return result;
+    app->port.drive = drive;
+    app->tick_known = false;
+    app->sync_age_ticks = UINT32_MAX;
+    pace_forget_readings(app);
+    return REFUSAL_NONE;
 }
 
 // ---- the other messages
@@ -204,9 +49,19 @@ static decode_result_t on_wheel_speed(app_t *app, const frame_t *frame)
 {
     wheel_speed_message_t speed;
     const decode_result_t result = wheel_speed_decode(&speed, frame);
-    if (result == DECODE_OK) {
+    if (result == DECODE_OK && app->port.drive != DRIVE_MOTORS) {
         app->wheel_speed.value = (vec3_t){speed.wheel1_rad_per_s, speed.wheel2_rad_per_s, speed.wheel3_rad_per_s};
         app->wheel_speed.fresh = true;
+    }
+    return result;
+}
+
+static decode_result_t on_sync(app_t *app, const frame_t *frame)
+{
+    sync_message_t sync;
+    const decode_result_t result = sync_decode(&sync, frame);
+    if (result == DECODE_OK) {
+        pace_on_sync(app, sync.tick);
     }
     return result;
 }
@@ -225,11 +80,7 @@ static uint8_t start(app_t *app)
     }
     app->cursor = (trajectory_cursor_t){0, 0};
     app->state = (control_state_t){0};
-    // The pause before had no ticks to tell its length: what was read then is of unknown age.
-    app->pose = (reading_t){.age_ticks = UINT32_MAX};
-    app->wheel_speed = (reading_t){.age_ticks = UINT32_MAX};
-    app->tick_known = false;
-    app->missed_ticks = 0;
+    pace_start(app);
     app->mode = mode_after(app->mode, EVENT_START);
     return REFUSAL_NONE;
 }
@@ -245,6 +96,12 @@ static uint8_t perform(app_t *app, uint8_t operation)
     case OPERATION_CLEAR:
         clear_faults(app);
         return REFUSAL_NONE;
+    case OPERATION_USE_LOCKSTEP:
+        return use(app, DRIVE_LOCKSTEP);
+    case OPERATION_USE_REALTIME:
+        return use(app, DRIVE_REALTIME);
+    case OPERATION_USE_MOTORS:
+        return use(app, DRIVE_MOTORS);
     default:
         return REFUSAL_UNKNOWN_OPERATION;
     }
@@ -256,7 +113,7 @@ static decode_result_t on_command(app_t *app, const frame_t *frame)
     const decode_result_t result = command_decode(&command, frame);
     if (result == DECODE_OK) {
         app->refusal = perform(app, command.operation);
-        send_status(app);
+        report_status(app);
     }
     return result;
 }
@@ -270,7 +127,7 @@ static void send_parameter(app_t *app, uint8_t index, uint8_t result)
     };
     frame_t frame;
     parameter_value_encode(&frame, app->node, &answer);
-    send(app, &frame);
+    report_send(app, &frame);
 }
 
 static decode_result_t on_parameter_set(app_t *app, const frame_t *frame)
@@ -308,7 +165,7 @@ static void send_trajectory_ack(app_t *app, store_answer_t answer)
     const trajectory_ack_message_t ack = {.offset_bytes = app->store.received_bytes, .result = answer.result};
     frame_t frame;
     trajectory_ack_encode(&frame, app->node, &ack);
-    send(app, &frame);
+    report_send(app, &frame);
 }
 
 static const store_answer_t refused_in_motion = {true, TRAJECTORY_ACK_RESULT_IN_MOTION};
@@ -351,10 +208,11 @@ static decode_result_t on_hello(app_t *app, const frame_t *frame)
         .minor = APP_VERSION_MINOR,
         .patch = APP_VERSION_PATCH,
         .peer_matches = app->peer_matches ? 1 : 0,
+        .drive = app->port.drive,
     };
     frame_t answer;
     identity_encode(&answer, app->node, &identity);
-    send(app, &answer);
+    report_send(app, &answer);
     return result;
 }
 
@@ -375,17 +233,18 @@ static const struct {
     {HELLO_FUNCTION, on_hello},
 };
 
-void app_init(app_t *app, const robot_t *robot, uint8_t node)
+void app_init(app_t *app, const robot_t *robot, uint8_t node, app_port_t port)
 {
     memset(app, 0, sizeof *app);
     app->robot = robot;
+    app->port = port;
     app->node = node & FRAME_NODE_MASK;
     app->mode = MODE_BOOT;
-    app->pose.age_ticks = UINT32_MAX;
-    app->wheel_speed.age_ticks = UINT32_MAX;
+    app->sync_age_ticks = UINT32_MAX;
+    pace_forget_readings(app);
     parameters_reset(&app->parameters);
     app->control = parameters_for_control(&app->parameters, robot);
-    handle_event(app, EVENT_READY);
+    pace_handle_event(app, EVENT_READY);
 }
 
 void app_receive(app_t *app, const frame_t *frame)
@@ -397,7 +256,7 @@ void app_receive(app_t *app, const frame_t *frame)
     for (size_t i = 0; i < sizeof handlers / sizeof handlers[0]; i++) {
         if (handlers[i].function == function) {
             if (handlers[i].handle(app, frame) != DECODE_OK) {
-                count(&app->dropped_frames, 1);
+                counter_add(&app->dropped_frames, 1);
             }
             return;
         }

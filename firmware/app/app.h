@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT
-// The robot as a state machine on a CAN bus: frames in, frames out, one control step a SYNC. No globals: an instance is
-// an app_t, as many as there is memory for. Pure but for its own state: the port moves the frames.
+// The robot as a state machine on a CAN bus: frames in, frames out, one control step a tick. No globals: an instance is
+// an app_t, as many as there is memory for. Pure but for its own state: the port moves the frames and says when a
+// period has passed.
 #ifndef OMNIBOT_APP_APP_H
 #define OMNIBOT_APP_APP_H
 
@@ -11,9 +12,8 @@
 #include "store.h"
 
 enum {
-    APP_STALE_TICKS_MAX = 5, // older wheel speeds are a fault; poses may be as old as pose_timeout_s says
-    APP_TICK_GAP_MAX = 10,   // more missing ticks in a row are a fault
     APP_STATUS_EVERY_TICKS = 100,
+    APP_HEARTBEAT_TICKS_MAX = 100, // a host that has sent no SYNC for longer is gone
     APP_VERSION_MAJOR = 0,
     APP_VERSION_MINOR = 1,
     APP_VERSION_PATCH = 0
@@ -26,32 +26,69 @@ typedef struct {
     bool fresh; // came since the last tick
 } reading_t;
 
+/// What a port can do. A drive says what paces the robot and what it moves:
+/// DRIVE_LOCKSTEP: sensors from the bus, one step a SYNC; DRIVE_REALTIME: sensors from the bus, steps by the port's
+/// timer; DRIVE_MOTORS: wheel speeds from the port's encoders, steps by its timer, torque to its bridges.
+typedef struct {
+    uint8_t drives; // bit mask of 1u << DRIVE_…
+    uint8_t drive;  // DRIVE_… to start in
+} app_port_t;
+
+/// What a board knows of itself: the fields of HEALTH.
+typedef struct {
+    uint8_t reset_cause;  // RESET_CAUSE_…
+    uint8_t clock_source; // CLOCK_SOURCE_…
+    uint8_t can_state;    // CAN_STATE_…
+    uint8_t can_tx_errors, can_rx_errors;
+    uint8_t can_bus_offs; // how often
+    uint8_t can_rx_lost;  // frames
+    float supply_V;       // NaN: not measured
+} app_health_t;
+
+/// How long the steps took since the last TIMING.
+typedef struct {
+    uint32_t count;
+    uint32_t min_ns, max_ns, sum_ns;
+} step_times_t;
+
 typedef struct {
     const robot_t *robot;
+    app_port_t port;
     uint8_t node;
     uint8_t mode;    // MODE_…
     uint8_t fault;   // FAULT_… that came first since the last CLEAR
     uint8_t refusal; // REFUSAL_… of the last COMMAND
     uint16_t fault_mask;
     uint16_t dropped_frames; // damaged, or no room in the outbox; stops at its largest value
-    uint16_t missed_ticks;   // likewise
+    uint16_t missed_ticks;   // since START; likewise
+    uint16_t overruns;       // periods without a step, by the port; since START; likewise
     bool peer_matches;       // HELLO brought our protocol hash
-    bool tick_known;         // a SYNC has come since START
-    uint32_t tick;           // of the last SYNC
+    bool tick_known;         // a tick has come since START
+    uint32_t tick;           // of the last step: the host's in lockstep, else counted from START
+    uint32_t sync_tick;      // of the last SYNC
+    uint32_t sync_age_ticks; // since it, by the port's timer
+    uint16_t overdue_ticks;  // periods that the port says passed without a step, since the last one
+    uint32_t missed_in_row;  // ticks, without one on time between them
     reading_t pose;          // x1, x2 (m), θ (rad)
     reading_t wheel_speed;   // rad/s
     trajectory_cursor_t cursor;
     control_state_t state;
     parameters_t parameters;
     control_params_t control; // made from the parameters
-    frame_t torque_answer;    // to the last SYNC
+    vec3_t torque_Nm;         // of the last step
+    step_times_t step_times;
+    app_health_t health;
+    bool health_known;
+    uint32_t crash_pc, crash_lr;
+    bool crash_known;
+    frame_t torque_answer; // to the last tick
     frame_t slip_answer;
     store_t store;
     outbox_t outbox;
 } app_t;
 
 /// Ready in IDLE with default parameters and no trajectory.
-void app_init(app_t *app, const robot_t *robot, uint8_t node);
+void app_init(app_t *app, const robot_t *robot, uint8_t node, app_port_t port);
 
 /// Takes one frame off the bus; frames of other nodes and functions are ignored, damaged ones counted. Answers go to
 /// the outbox.
@@ -59,5 +96,26 @@ void app_receive(app_t *app, const frame_t *frame);
 
 /// Gives the next frame for the bus; false when there is none.
 bool app_transmit(app_t *app, frame_t *frame);
+
+/// A period has passed by the port's timer: one step and its answers, if it is the timer that paces the robot.
+void app_tick(app_t *app);
+
+/// So many periods have passed without a step; to be told before the next app_tick, which moves time on by them.
+void app_note_overrun(app_t *app, uint32_t periods);
+
+/// Wheel speeds by the port's encoders, before app_tick; taken in DRIVE_MOTORS.
+void app_set_wheel_speed(app_t *app, vec3_t rad_per_s);
+
+/// What the motors have to give. False, and zeros, unless the robot drives its own motors: then their bridges are off.
+bool app_motor_torque(const app_t *app, vec3_t *torque_Nm);
+
+/// How long a step took, frames included; goes into TIMING.
+void app_note_step_time(app_t *app, uint32_t step_ns);
+
+/// What the board knows of itself now; goes into HEALTH.
+void app_note_health(app_t *app, const app_health_t *health);
+
+/// Where a processor fault ended the run before this one; goes into CRASH, once.
+void app_note_crash(app_t *app, uint32_t pc, uint32_t lr);
 
 #endif

@@ -8,7 +8,9 @@
 
 #include <string.h>
 
-enum { NODE = 3, SEGMENTS = 3, UPLOAD_BYTES = 100 * SEGMENTS };
+enum { NODE = 3, SEGMENTS = 3, UPLOAD_BYTES = 100 * SEGMENTS, TICK_GAP_MAX = 10 };
+
+static const app_port_t lockstep_only = {.drives = 1u << DRIVE_LOCKSTEP, .drive = DRIVE_LOCKSTEP};
 
 static app_t app;
 static uint8_t upload[UPLOAD_BYTES];
@@ -17,7 +19,7 @@ static uint8_t upload[UPLOAD_BYTES];
 static struct {
     frame_t frame[OUTBOX_FRAMES];
     int count;
-    int torques, slips, statuses, acks, values, identities;
+    int torques, slips, statuses, acks, values, identities, timings, healths, crashes;
     frame_t torque_frame, slip_frame;
     torque_message_t torque;
     slip_message_t slip;
@@ -25,6 +27,9 @@ static struct {
     trajectory_ack_message_t ack;
     parameter_value_message_t value;
     identity_message_t identity;
+    timing_message_t timing;
+    health_message_t health;
+    crash_message_t crash;
 } got;
 
 static void note(const frame_t *frame)
@@ -56,6 +61,18 @@ static void note(const frame_t *frame)
     case IDENTITY_FUNCTION:
         got.identities++;
         TEST_ASSERT_EQUAL(DECODE_OK, identity_decode(&got.identity, frame));
+        break;
+    case TIMING_FUNCTION:
+        got.timings++;
+        TEST_ASSERT_EQUAL(DECODE_OK, timing_decode(&got.timing, frame));
+        break;
+    case HEALTH_FUNCTION:
+        got.healths++;
+        TEST_ASSERT_EQUAL(DECODE_OK, health_decode(&got.health, frame));
+        break;
+    case CRASH_FUNCTION:
+        got.crashes++;
+        TEST_ASSERT_EQUAL(DECODE_OK, crash_decode(&got.crash, frame));
         break;
     default:
         TEST_FAIL_MESSAGE("a frame that the robot does not send");
@@ -285,7 +302,7 @@ static void assert_cursor(uint16_t segment, uint32_t time_us)
 
 void setUp(void)
 {
-    app_init(&app, &omnibot, NODE);
+    app_init(&app, &omnibot, NODE, lockstep_only);
     look();
 }
 
@@ -297,7 +314,7 @@ void tearDown(void)
 
 static void test_init_is_idle_and_says_so(void)
 {
-    app_init(&app, &omnibot, NODE);
+    app_init(&app, &omnibot, NODE, lockstep_only);
     look();
 
     TEST_ASSERT_EQUAL(1, got.count);
@@ -312,7 +329,7 @@ static void test_init_over_an_old_instance_forgets_everything(void)
 {
     make_faulty();
 
-    app_init(&app, &omnibot, NODE);
+    app_init(&app, &omnibot, NODE, lockstep_only);
     look();
     command(OPERATION_START);
 
@@ -488,7 +505,7 @@ static void test_start_after_stop_begins_the_trajectory_again(void)
 
 static void test_unknown_operations_are_refused(void)
 {
-    static const uint8_t unknown[] = {OPERATION_NONE, 4, 5, 100, 255};
+    static const uint8_t unknown[] = {OPERATION_NONE, 7, 8, 100, 255};
     make_moving();
     for (size_t i = 0; i < sizeof unknown / sizeof unknown[0]; i++) {
         command(unknown[i]);
@@ -711,22 +728,22 @@ static void test_gap_as_long_as_allowed_is_no_fault(void)
 {
     make_moving();
 
-    tick(1000 + 1 + APP_TICK_GAP_MAX);
+    tick(1000 + 1 + TICK_GAP_MAX);
 
     assert_still_tracking();
     assert_cursor(1, 1000); // 11 ms
-    TEST_ASSERT_EQUAL_UINT16(APP_TICK_GAP_MAX, app.missed_ticks);
+    TEST_ASSERT_EQUAL_UINT16(TICK_GAP_MAX, app.missed_ticks);
 }
 
 static void test_gap_just_too_long_is_a_fault(void)
 {
     make_moving();
 
-    tick(1000 + 2 + APP_TICK_GAP_MAX);
+    tick(1000 + 2 + TICK_GAP_MAX);
 
     assert_fault(FAULT_TICK_GAP);
     assert_cursor(0, 0);
-    TEST_ASSERT_EQUAL_UINT16(APP_TICK_GAP_MAX + 1, got.status.missed_ticks);
+    TEST_ASSERT_EQUAL_UINT16(TICK_GAP_MAX + 1, got.status.missed_ticks);
 }
 
 static void test_gap_of_the_largest_size_is_a_fault_and_its_count_saturates(void)
@@ -1349,7 +1366,7 @@ static void test_transmit_of_nothing_is_false(void)
 static void test_two_instances_on_one_bus_are_independent(void)
 {
     static app_t other;
-    app_init(&other, &omnibot, NODE + 1);
+    app_init(&other, &omnibot, NODE + 1, lockstep_only);
     frame_t frame;
     while (app_transmit(&other, &frame)) {
     }
@@ -1404,6 +1421,324 @@ static void test_two_instances_with_the_same_frames_give_the_same_bytes(void)
         while (app_transmit(&other, &frame)) {
         }
     }
+}
+
+// ---- drives: what paces and moves the robot
+
+static const app_port_t board = {
+    .drives = 1u << DRIVE_LOCKSTEP | 1u << DRIVE_REALTIME | 1u << DRIVE_MOTORS,
+    .drive = DRIVE_MOTORS,
+};
+
+/// A period by the port's timer, with fresh sensors and a host that is there.
+static void timer_tick(void)
+{
+    pose(-0.01f, 0.0f, 0.0f);
+    wheel_speed(0.0f, 0.0f, 0.0f);
+    sync_only(77);
+    app_tick(&app);
+    look();
+}
+
+/// A board that drives with sensors from the bus, by its own timer; its first tick is done.
+static void make_realtime(void)
+{
+    app_init(&app, &omnibot, NODE, board);
+    look();
+    command(OPERATION_USE_REALTIME);
+    make_ready();
+    timer_tick();
+    command(OPERATION_START);
+    TEST_ASSERT_EQUAL_UINT8(MODE_TRACKING, got.status.mode);
+    timer_tick();
+    assert_pushes_ahead();
+}
+
+/// A board that drives its own motors; the wheels stand still.
+static void make_motors_run(void)
+{
+    app_init(&app, &omnibot, NODE, board);
+    look();
+    make_ready();
+    app_set_wheel_speed(&app, (vec3_t){0});
+    timer_tick();
+    command(OPERATION_START);
+    app_set_wheel_speed(&app, (vec3_t){0});
+    timer_tick();
+    assert_pushes_ahead();
+}
+
+static uint8_t drive_told(void)
+{
+    hello(PROTOCOL_HASH);
+    TEST_ASSERT_EQUAL(1, got.identities);
+    return got.identity.drive;
+}
+
+static void test_use_of_a_drive_that_the_port_lacks_is_refused(void)
+{
+    static const uint8_t lacking[] = {OPERATION_USE_REALTIME, OPERATION_USE_MOTORS};
+    for (size_t i = 0; i < sizeof lacking; i++) {
+        command(lacking[i]);
+
+        TEST_ASSERT_EQUAL_UINT8(REFUSAL_UNABLE, got.status.refusal);
+        TEST_ASSERT_EQUAL_UINT8(DRIVE_LOCKSTEP, drive_told());
+    }
+}
+
+static void test_use_changes_the_drive_that_identity_tells(void)
+{
+    static const uint8_t operation[] = {OPERATION_USE_LOCKSTEP, OPERATION_USE_REALTIME, OPERATION_USE_MOTORS};
+    static const uint8_t drive[] = {DRIVE_LOCKSTEP, DRIVE_REALTIME, DRIVE_MOTORS};
+    app_init(&app, &omnibot, NODE, board);
+    look();
+    TEST_ASSERT_EQUAL_UINT8(DRIVE_MOTORS, drive_told());
+    for (size_t i = 0; i < sizeof drive; i++) {
+        command(operation[i]);
+
+        TEST_ASSERT_EQUAL_UINT8(REFUSAL_NONE, got.status.refusal);
+        TEST_ASSERT_EQUAL_UINT8(drive[i], drive_told());
+    }
+}
+
+static void test_use_of_another_drive_while_tracking_is_refused(void)
+{
+    make_motors_run();
+
+    command(OPERATION_USE_REALTIME);
+
+    TEST_ASSERT_EQUAL_UINT8(REFUSAL_WRONG_MODE, got.status.refusal);
+    TEST_ASSERT_EQUAL_UINT8(DRIVE_MOTORS, drive_told());
+    vec3_t torque;
+    TEST_ASSERT_TRUE(app_motor_torque(&app, &torque));
+}
+
+static void test_timer_tick_in_lockstep_does_nothing(void)
+{
+    make_moving();
+
+    app_tick(&app);
+    look();
+
+    TEST_ASSERT_EQUAL(0, got.count);
+    assert_cursor(0, 0);
+}
+
+static void test_sync_in_real_time_steps_nothing(void)
+{
+    make_realtime();
+
+    sync(500);
+
+    TEST_ASSERT_EQUAL(0, got.count);
+    assert_cursor(0, 0);
+}
+
+static void test_timer_tick_answers_with_the_last_sync(void)
+{
+    make_realtime();
+    sync_only(0x123);
+
+    app_tick(&app);
+    look();
+
+    TEST_ASSERT_EQUAL_UINT8(3, got.torque.counter);
+    TEST_ASSERT_EQUAL_UINT8(3, got.slip.counter);
+    assert_cursor(0, 1000);
+}
+
+static void test_timer_tick_without_a_host_is_not_answered(void)
+{
+    app_init(&app, &omnibot, NODE, board);
+    look();
+
+    for (int i = 0; i < 3; i++) {
+        app_tick(&app);
+        look();
+
+        TEST_ASSERT_EQUAL(0, got.torques);
+        TEST_ASSERT_EQUAL(i == 0 ? 1 : 0, got.statuses); // tick 0 is a multiple of a hundred
+    }
+}
+
+static void test_overrun_moves_the_reference_on_and_is_counted(void)
+{
+    make_realtime();
+    app_note_overrun(&app, 4);
+
+    timer_tick();
+
+    assert_still_tracking();
+    assert_cursor(0, 5000);
+    TEST_ASSERT_EQUAL_UINT16(4, app.missed_ticks);
+    TEST_ASSERT_EQUAL_UINT16(4, app.overruns);
+}
+
+static void test_overruns_with_ticks_on_time_between_them_are_borne(void)
+{
+    make_realtime();
+    for (int i = 0; i < 3; i++) {
+        app_note_overrun(&app, TICK_GAP_MAX);
+        timer_tick();
+        assert_still_tracking();
+        timer_tick();
+        assert_still_tracking();
+    }
+    TEST_ASSERT_EQUAL_UINT16(3 * TICK_GAP_MAX, app.overruns);
+}
+
+static void test_a_run_of_overruns_is_a_fault(void)
+{
+    make_realtime();
+    for (int i = 0; i < TICK_GAP_MAX; i++) {
+        app_note_overrun(&app, 1);
+        timer_tick();
+        assert_still_tracking();
+    }
+    app_note_overrun(&app, 1);
+    timer_tick();
+
+    assert_fault(FAULT_OVERRUN);
+}
+
+static void test_one_overrun_too_long_is_a_fault(void)
+{
+    make_realtime();
+    app_note_overrun(&app, TICK_GAP_MAX + 1);
+
+    timer_tick();
+
+    assert_fault(FAULT_OVERRUN);
+}
+
+static void test_host_silent_for_more_than_a_tenth_of_a_second_is_a_fault(void)
+{
+    make_motors_run();
+    for (int i = 1; i < APP_HEARTBEAT_TICKS_MAX; i++) {
+        app_set_wheel_speed(&app, (vec3_t){0});
+        app_tick(&app);
+        look();
+        assert_still_tracking();
+    }
+    app_set_wheel_speed(&app, (vec3_t){0});
+    app_tick(&app);
+    look();
+
+    assert_no_torque();
+    TEST_ASSERT_EQUAL_UINT8(MODE_FAULT, got.torque.mode);
+    TEST_ASSERT_EQUAL_UINT8(FAULT_HOST_SILENT, got.status.fault);
+    app_tick(&app);
+    look();
+    TEST_ASSERT_EQUAL(0, got.torques); // there is nobody to tell
+}
+
+static void test_motors_get_the_torque_of_the_last_step_while_tracking_only(void)
+{
+    vec3_t torque;
+    make_motors_run();
+
+    TEST_ASSERT_TRUE(app_motor_torque(&app, &torque));
+    TEST_ASSERT_FLOAT_WITHIN(1.0e-5f, got.torque.wheel1_Nm, torque.x);
+    TEST_ASSERT_FLOAT_WITHIN(1.0e-5f, got.torque.wheel3_Nm, torque.z);
+
+    command(OPERATION_STOP);
+
+    TEST_ASSERT_FALSE(app_motor_torque(&app, &torque));
+    TEST_ASSERT_FLOAT_WITHIN(0.0f, 0.0f, vec3_max_abs(torque));
+}
+
+static void test_bus_drives_never_enable_the_motors(void)
+{
+    vec3_t torque = {1.0f, 1.0f, 1.0f};
+    make_realtime();
+
+    TEST_ASSERT_FALSE(app_motor_torque(&app, &torque));
+    TEST_ASSERT_FLOAT_WITHIN(0.0f, 0.0f, vec3_max_abs(torque));
+}
+
+static void test_wheel_speeds_of_the_bus_are_not_taken_by_a_robot_with_motors(void)
+{
+    make_motors_run();
+    for (int i = 0; i < 6; i++) {
+        timer_tick(); // brings wheel speeds by the bus alone
+    }
+    TEST_ASSERT_EQUAL_UINT8(MODE_FAULT, got.torque.mode);
+    TEST_ASSERT_EQUAL_UINT8(FAULT_STALE_WHEEL_SPEED, app.fault);
+}
+
+static void test_wheel_speeds_of_the_port_are_not_taken_without_motors(void)
+{
+    make_moving();
+    app_set_wheel_speed(&app, (vec3_t){50.0f, 50.0f, 50.0f});
+
+    tick(1001);
+
+    assert_pushes_ahead(); // as with wheels that stand still
+}
+
+// ---- what the port tells of itself
+
+static void test_step_times_are_reported_every_hundred_ticks_and_start_anew(void)
+{
+    make_realtime();
+    app_note_step_time(&app, 7000);
+    app_note_step_time(&app, 9000);
+    app_note_step_time(&app, 20000);
+    app_note_overrun(&app, 2);
+    while (app.tick != 99) {
+        timer_tick();
+        TEST_ASSERT_EQUAL(0, got.timings);
+    }
+    timer_tick();
+
+    TEST_ASSERT_EQUAL(1, got.timings);
+    TEST_ASSERT_FLOAT_WITHIN(0.051f, 7.0f, got.timing.step_min_us);
+    TEST_ASSERT_FLOAT_WITHIN(0.051f, 12.0f, got.timing.step_mean_us);
+    TEST_ASSERT_FLOAT_WITHIN(0.051f, 20.0f, got.timing.step_max_us);
+    TEST_ASSERT_EQUAL_UINT16(2, got.timing.overruns);
+    TEST_ASSERT_EQUAL_UINT32(0, app.step_times.count);
+}
+
+static void test_port_without_measurements_reports_none(void)
+{
+    make_realtime();
+    while (app.tick != 100) {
+        timer_tick();
+        TEST_ASSERT_EQUAL(0, got.timings + got.healths + got.crashes);
+    }
+}
+
+static void test_health_and_crash_are_reported_the_crash_once(void)
+{
+    const app_health_t health = {RESET_CAUSE_CRASH, CLOCK_SOURCE_HSI_PLL, CAN_STATE_PASSIVE, 130, 5, 2, 9, 11.1f};
+    app_init(&app, &omnibot, NODE, board);
+    app_note_health(&app, &health);
+    app_note_crash(&app, 0x08001234u, 0x08005679u);
+    look();
+
+    app_tick(&app);
+    look();
+
+    TEST_ASSERT_EQUAL(1, got.healths);
+    TEST_ASSERT_EQUAL_UINT8(RESET_CAUSE_CRASH, got.health.reset_cause);
+    TEST_ASSERT_EQUAL_UINT8(CLOCK_SOURCE_HSI_PLL, got.health.clock_source);
+    TEST_ASSERT_EQUAL_UINT8(CAN_STATE_PASSIVE, got.health.can_state);
+    TEST_ASSERT_EQUAL_UINT8(0, got.health.bridges);
+    TEST_ASSERT_EQUAL_UINT8(130, got.health.can_tx_errors);
+    TEST_ASSERT_EQUAL_UINT8(5, got.health.can_rx_errors);
+    TEST_ASSERT_EQUAL_UINT8(2, got.health.can_bus_offs);
+    TEST_ASSERT_EQUAL_UINT8(9, got.health.can_rx_lost);
+    TEST_ASSERT_FLOAT_WITHIN(0.0006f, 11.1f, got.health.supply_V);
+    TEST_ASSERT_EQUAL(1, got.crashes);
+    TEST_ASSERT_EQUAL_HEX32(0x08001234u, got.crash.pc);
+    TEST_ASSERT_EQUAL_HEX32(0x08005679u, got.crash.lr);
+
+    for (int i = 0; i < 100; i++) {
+        app_tick(&app);
+        look();
+    }
+    TEST_ASSERT_EQUAL(1, got.healths);
+    TEST_ASSERT_EQUAL(0, got.crashes);
 }
 
 int main(void)
@@ -1490,5 +1825,24 @@ int main(void)
     RUN_TEST(test_transmit_of_nothing_is_false);
     RUN_TEST(test_two_instances_on_one_bus_are_independent);
     RUN_TEST(test_two_instances_with_the_same_frames_give_the_same_bytes);
+    RUN_TEST(test_use_of_a_drive_that_the_port_lacks_is_refused);
+    RUN_TEST(test_use_changes_the_drive_that_identity_tells);
+    RUN_TEST(test_use_of_another_drive_while_tracking_is_refused);
+    RUN_TEST(test_timer_tick_in_lockstep_does_nothing);
+    RUN_TEST(test_sync_in_real_time_steps_nothing);
+    RUN_TEST(test_timer_tick_answers_with_the_last_sync);
+    RUN_TEST(test_timer_tick_without_a_host_is_not_answered);
+    RUN_TEST(test_overrun_moves_the_reference_on_and_is_counted);
+    RUN_TEST(test_overruns_with_ticks_on_time_between_them_are_borne);
+    RUN_TEST(test_a_run_of_overruns_is_a_fault);
+    RUN_TEST(test_one_overrun_too_long_is_a_fault);
+    RUN_TEST(test_host_silent_for_more_than_a_tenth_of_a_second_is_a_fault);
+    RUN_TEST(test_motors_get_the_torque_of_the_last_step_while_tracking_only);
+    RUN_TEST(test_bus_drives_never_enable_the_motors);
+    RUN_TEST(test_wheel_speeds_of_the_bus_are_not_taken_by_a_robot_with_motors);
+    RUN_TEST(test_wheel_speeds_of_the_port_are_not_taken_without_motors);
+    RUN_TEST(test_step_times_are_reported_every_hundred_ticks_and_start_anew);
+    RUN_TEST(test_port_without_measurements_reports_none);
+    RUN_TEST(test_health_and_crash_are_reported_the_crash_once);
     return UNITY_END();
 }

@@ -659,9 +659,9 @@ static void test_hello_and_identity_round_trip(void)
     TEST_ASSERT_EQUAL(DECODE_OK, hello_decode(&hello, &frame));
     TEST_ASSERT_EQUAL_HEX32(0x89ABCDEFu, hello.protocol_hash);
 
-    static const uint8_t expected[8] = {0xEF, 0xCD, 0xAB, 0x89, 1, 20, 255, 1};
+    static const uint8_t expected[8] = {0xEF, 0xCD, 0xAB, 0x89, 1, 20, 255, 0x21};
     identity_message_t identity;
-    identity_encode(&frame, NODE, &(identity_message_t){0x89ABCDEFu, 1, 20, 255, 1});
+    identity_encode(&frame, NODE, &(identity_message_t){0x89ABCDEFu, 1, 20, 255, 1, DRIVE_MOTORS});
     TEST_ASSERT_EQUAL_HEX8_ARRAY(expected, frame.data, 8);
     TEST_ASSERT_EQUAL(DECODE_OK, identity_decode(&identity, &frame));
     TEST_ASSERT_EQUAL_HEX32(0x89ABCDEFu, identity.protocol_hash);
@@ -669,6 +669,7 @@ static void test_hello_and_identity_round_trip(void)
     TEST_ASSERT_EQUAL_UINT8(20, identity.minor);
     TEST_ASSERT_EQUAL_UINT8(255, identity.patch);
     TEST_ASSERT_EQUAL_UINT8(1, identity.peer_matches);
+    TEST_ASSERT_EQUAL_UINT8(DRIVE_MOTORS, identity.drive);
 }
 
 static void test_decode_of_every_bit_pattern_of_a_signal_is_within_its_range(void)

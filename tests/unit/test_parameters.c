@@ -26,6 +26,8 @@ static const struct {
     {0.01f, 1e9f, 0.3f, false},     // series_ratio_max
     {0.0f, 1.0f, 0.0f, false},      // observer_lag_s
     {0.0f, 3600.0f, 0.5f, false},   // pose_timeout_s
+    {0.0f, 1.0f, 0.005f, false},    // wheel_speed_timeout_s
+    {0.0f, 100.0f, 10.0f, true},    // tick_gap_max
 };
 
 static parameters_t parameters;

@@ -2,6 +2,7 @@
 #include "inproc.h"
 
 #include "app.h"
+#include "messages.h"
 
 #define EXPORTED __attribute__((visibility("default")))
 
@@ -12,7 +13,7 @@ EXPORTED size_t omnibot_size(void)
 
 EXPORTED void omnibot_init(void *memory, uint8_t node)
 {
-    app_init(memory, &omnibot, node);
+    app_init(memory, &omnibot, node, (app_port_t){.drives = 1u << DRIVE_LOCKSTEP, .drive = DRIVE_LOCKSTEP});
 }
 
 EXPORTED void omnibot_receive(void *instance, const frame_t *frame)

@@ -2,6 +2,7 @@
 // omnibot-sil: the firmware as a process on a SocketCAN interface.
 #define _DEFAULT_SOURCE
 #include "app.h"
+#include "messages.h"
 #include "socketcan.h"
 
 #include <errno.h>
@@ -118,7 +119,7 @@ int main(int argc, char **argv)
         return 1;
     }
     stop_on_signals();
-    app_init(&app, &omnibot, options.node);
+    app_init(&app, &omnibot, options.node, (app_port_t){.drives = 1u << DRIVE_LOCKSTEP, .drive = DRIVE_LOCKSTEP});
     fprintf(stderr, "omnibot-sil: node %d on %s\n", options.node, options.interface);
     if (!serve(&app, socket)) {
         fprintf(stderr, "omnibot-sil: %s failed: %s\n", options.interface, strerror(errno));
