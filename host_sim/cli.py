@@ -20,7 +20,8 @@ from host_sim.link import Link, open_bus
 from host_sim.paper import choose, write_paper
 from host_sim.planner import PathRequest, plan
 from host_sim.robot import ROOT, load_robot
-from host_sim.run import LOG_FILE, BusLog, Scenario, execute, run_folder
+from host_sim.run import LOG_FILE, BusLog, execute, run_folder
+from host_sim.scenario import Scenario
 from host_sim.sensors import Sensors
 from host_sim.sweep import SWEEPS, run_sweep, table
 from host_sim.trace import Trace, compare, write_atomically
@@ -110,7 +111,10 @@ def run(
     encoder_counts: Annotated[int, typer.Option(help="encoder counts a turn; 0: no quantisation")] = 0,
     delta_m_per_s: Annotated[float, typer.Option(help="delta of the slip ratio, m/s")] = 1e-3,
     speed_length_m: Annotated[float, typer.Option(help="length that turns yaw rate into speed in (14), m")] = 1.0,
-    pace: Annotated[float, typer.Option(help="never faster than so many times real time")] = math.inf,
+    time: Annotated[
+        str, typer.Option(help="lockstep: neither side waits for the clock; realtime: both keep the control period")
+    ] = "lockstep",
+    pace: Annotated[float, typer.Option(help="lockstep: never faster than so many times real time")] = math.inf,
     timeout: Annotated[float, typer.Option(help="wall-clock seconds the firmware may be silent")] = 2.0,
     dbc: Annotated[Path, typer.Option(help="wire definition to speak")] = DBC_FILE,
     out: Annotated[Path | None, typer.Option(help="folder of the results (default: a new one below runs/)")] = None,
@@ -121,6 +125,8 @@ def run(
         raise OmnibotError(f"--pace {pace:g} must be above 0")
     if not 1e-3 <= timeout <= 3600.0:
         raise OmnibotError(f"--timeout {timeout:g} must be 0.001 … 3600 s")
+    if time == "realtime" and interface is None and bus == "inproc":
+        raise OmnibotError("the firmware in-process has no timer of its own: give --time realtime a bus, such as vcan0")
     robot = load_robot()
     request = PathRequest(path, speed, corner, corner_accel, duration, start_before_corner)
     scenario = Scenario(
@@ -134,6 +140,7 @@ def run(
         parameters=parse_settings("--set", setting or []),
         plant=parse_numbers("--plant", plant or []),
         sensors=Sensors(pose_rate_hz, pose_delay_s, encoder_counts),
+        time=time,
     )
     scenario.traction_of(scenario.plant_robot(robot))
     scenario.firmware_parameters(robot)

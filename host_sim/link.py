@@ -295,9 +295,7 @@ class Link:
             Three wheel speeds, rad/s.
         """
         counter = tick & 0xF
-        if pose is not None:
-            self._send(self._pose.arbitration_id, self._pose.pack(*pose, counter))
-        self._send(self._wheels.arbitration_id, self._wheels.pack(*self._carried(wheel_speed), counter))
+        self.send_sensors(tick, pose, wheel_speed)
         sync = self._sync.pack(tick, counter)
         deadline = time.monotonic() + self.timeout_s
         while time.monotonic() < deadline:
@@ -306,6 +304,29 @@ class Link:
             if answer is not None:
                 return answer
         raise self._silent(f"TORQUE for tick {tick}")
+
+    def send_sensors(self, tick: int, pose: Sequence[float] | None, wheel_speed: Sequence[float]) -> None:
+        """Send the sensor frames of a tick: see ``tick``."""
+        counter = tick & 0xF
+        if pose is not None:
+            self._send(self._pose.arbitration_id, self._pose.pack(*pose, counter))
+        self._send(self._wheels.arbitration_id, self._wheels.pack(*self._carried(wheel_speed), counter))
+
+    def send_sync(self, tick: int) -> None:
+        """Send a tick without waiting for its answer."""
+        self._send(self._sync.arbitration_id, self._sync.pack(tick, tick & 0xF))
+
+    def hear(self, wait_s: float) -> tuple[str, dict[str, float]] | None:
+        """Return name and values of the next message that comes in time; None when none does. STATUS is kept, too."""
+        received = self._receive(wait_s)
+        if received is None:
+            return None
+        self._note_status(*received)
+        message = self.codec.of_id(received[0])
+        try:
+            return ("", {}) if message is None else (message.name, message.named(received[1]))
+        except WireError:
+            return "", {}  # damaged on the way, or of another protocol
 
     def _carried(self, wheel_speed: Sequence[float]) -> list[float]:
         """Add to wheel speeds what rounding took from the frames before, so that their sum over time is true.

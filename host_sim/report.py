@@ -61,6 +61,7 @@ CAPTIONS = {
     "slip": "Slip ratio of each wheel; shaded: where traction is linear, |s| up to 0.1.",
     "force": "Longitudinal force of the floor on each wheel, and what the floor can give.",
     "torque": "Torque of each motor, and its limit.",
+    "timing": "How often each time was measured; whatever is beyond the axis is in its last class.",
 }
 
 CSS = """
@@ -113,6 +114,8 @@ def write_report(
         The page, ``report.html``.
     """
     figures = draw_figures(trace, path_polyline, robot or load_robot())
+    if result.get("histograms"):
+        figures["timing"] = draw_histograms(result["histograms"])
     pictures = {name: render_png(figure) for name, figure in figures.items()}
     for name, picture in pictures.items():
         write_atomically(folder / f"{name}.png", picture)
@@ -131,6 +134,21 @@ def draw_figures(trace: Trace, path_polyline: Array, robot: Robot) -> dict[str, 
             "force": _draw_force(trace, robot.friction_limit_N),
             "torque": _draw_torque(trace, robot.torque_limit_Nm),
         }
+
+
+def draw_histograms(histograms: Mapping[str, Mapping[str, Any]]) -> Figure:
+    """Draw counts of measured times, a panel a name; see ``realtime.histogram`` for what a histogram holds."""
+    with rc_context(STYLE):
+        figure = Figure(figsize=(5.6, 1.9 * len(histograms)))
+        panels = np.atleast_1d(figure.subplots(len(histograms), 1))
+        for axes, (name, values) in zip(panels, histograms.items(), strict=True):
+            counts = np.asarray(values["counts"], dtype=float)
+            edges_us = values["class_us"] * np.arange(len(counts) + 1)
+            axes.stairs(counts, edges_us, fill=True, color=ACTUAL)
+            axes.set_yscale("log")
+            axes.set_ylim(bottom=0.5)
+            axes.set_title(f"{name.removesuffix('_us').replace('_', ' ').capitalize()}: ticks over time (µs)")
+        return figure
 
 
 # Figures over time --------------------------------------------------------------------------------------------------
@@ -489,7 +507,9 @@ def _page(result: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
     status = str(result.get("status", "unknown"))
     title = html.escape(_title(scenario))
     figures = "\n".join(_figure(name, picture) for name, picture in pictures.items())
-    numbers = {key: value for key, value in result.items() if key not in ("scenario", "status") and value != ""}
+    numbers = {
+        key: value for key, value in result.items() if key not in ("scenario", "status", "histograms") and value != ""
+    }
     return f"""<!DOCTYPE html>
 <html lang="en">
 <head>

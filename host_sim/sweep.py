@@ -14,12 +14,14 @@ import can
 import numpy as np
 
 from host_sim.codec import Codec
+from host_sim.drive import drive, start_state
 from host_sim.link import Link
 from host_sim.metrics import measure, tracking_error
 from host_sim.planner import PathRequest, plan
 from host_sim.plant import Plant
 from host_sim.robot import load_robot
-from host_sim.run import Scenario, drive, prepare, start_state
+from host_sim.run import prepare
+from host_sim.scenario import Scenario
 from host_sim.sensors import IDEAL_SENSORS, Sensors
 from host_sim.traction import TractionKind
 

@@ -5,13 +5,15 @@ from dataclasses import dataclass
 import can
 
 from host_sim.codec import Codec
+from host_sim.drive import Status, drive, start_state
 from host_sim.inproc import InprocBus
 from host_sim.link import Link
 from host_sim.metrics import Metrics, measure
 from host_sim.planner import PathRequest, plan
 from host_sim.plant import Plant
 from host_sim.robot import Robot
-from host_sim.run import Scenario, Status, drive, prepare, start_state
+from host_sim.run import prepare
+from host_sim.scenario import Scenario
 from host_sim.trace import Trace
 from host_sim.traction import Traction, TractionKind
 from host_sim.trajectory import Trajectory

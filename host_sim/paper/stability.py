@@ -9,6 +9,7 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from host_sim.drive import Status
 from host_sim.metrics import tracking_error
 from host_sim.paper.published import EPSILON_STAR, predicted_epsilon_star
 from host_sim.paper.section import Section, Table, figure_text, length_text
@@ -16,7 +17,6 @@ from host_sim.paper.simulate import Case, Outcome, Simulator
 from host_sim.planner import RHOMBUS_DIAGONAL_M
 from host_sim.report import ACTUAL, LIMIT, REFERENCE, STYLE
 from host_sim.robot import Array, Robot
-from host_sim.run import Status
 
 SPEED_m_per_s = 0.5
 ORDERS = ("0", "1", "2", "3", "exact", "observer")

@@ -15,12 +15,14 @@ from typer.testing import CliRunner
 
 from host_sim.cli import app
 from host_sim.codec import Codec
+from host_sim.drive import Status, drive, start_state
 from host_sim.errors import OmnibotError
 from host_sim.link import Link
 from host_sim.planner import PathRequest, plan
 from host_sim.plant import Plant
 from host_sim.robot import load_robot
-from host_sim.run import BusLog, Scenario, Status, drive, prepare, start_state
+from host_sim.run import BusLog, prepare
+from host_sim.scenario import Scenario
 from host_sim.trace import Trace, compare
 
 RHOMBUS = ["--path", "rhombus", "--corner", "rounded", "--corner-accel", "2", "--start-before-corner", "2"]
