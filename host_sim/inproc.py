@@ -20,7 +20,7 @@ class Frame(ctypes.Structure):
 
 
 def load_firmware(path: Path = LIBRARY_FILE) -> ctypes.CDLL:
-    """Load the firmware library and declare its four calls (``firmware/ports/posix/inproc.h``)."""
+    """Load the firmware library and declare its five calls (``firmware/ports/posix/inproc.h``)."""
     try:
         library = ctypes.CDLL(str(path))
     except OSError as error:
@@ -33,6 +33,8 @@ def load_firmware(path: Path = LIBRARY_FILE) -> ctypes.CDLL:
     library.omnibot_receive.argtypes = (ctypes.c_void_p, ctypes.c_void_p)
     library.omnibot_transmit.restype = ctypes.c_bool
     library.omnibot_transmit.argtypes = (ctypes.c_void_p, ctypes.c_void_p)
+    library.omnibot_tick.restype = None
+    library.omnibot_tick.argtypes = (ctypes.c_void_p,)
     return library
 
 
@@ -75,6 +77,10 @@ class InprocBus(can.BusABC):
         frame = self._frame
         data = bytes(frame.data[: frame.length])
         return can.Message(arbitration_id=frame.id, is_extended_id=False, data=data, check=False), False
+
+    def tick(self) -> None:
+        """Let a control period pass: a step, where the firmware was asked to pace itself."""
+        self._library.omnibot_tick(self._instance_address)
 
     @staticmethod
     def _detect_available_configs() -> list[Any]:

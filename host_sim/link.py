@@ -99,7 +99,7 @@ class Link:
         self._record = record
         self._counter = 0
         self._dropped_before = 0
-        self._speed_rest = [0.0, 0.0, 0.0]
+        self.forget_rounding()
         self._pose, self._wheels, self._sync = codec["POSE"], codec["WHEEL_SPEED"], codec["SYNC"]
         self._torque, self._slip = codec["TORQUE"], codec["SLIP"]
 
@@ -315,6 +315,10 @@ class Link:
     def send_sync(self, tick: int) -> None:
         """Send a tick without waiting for its answer."""
         self._send(self._sync.arbitration_id, self._sync.pack(tick, tick & 0xF))
+
+    def forget_rounding(self) -> None:
+        """Start carrying over the rounding of wheel speeds from nothing."""
+        self._speed_rest = [0.0, 0.0, 0.0]
 
     def hear(self, wait_s: float) -> tuple[str, dict[str, float]] | None:
         """Return name and values of the next message that comes in time; None when none does. STATUS is kept, too."""

@@ -6,9 +6,11 @@ newest torque there is. In time that is the lockstep run to the bit of the wire;
 on a robot, and is counted.
 """
 
+import contextlib
+import gc
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -27,6 +29,9 @@ from host_sim.trajectory import Trajectory
 # tick, and by no more than this.
 PHASE_GAIN = 0.01
 PHASE_STEP_MAX_S = 5e-6
+
+WARM_UP_PERIODS = 50
+BACKLOG_FRAMES = 20  # are taken at a time: ten ticks
 
 HISTOGRAM_CLASS_US = 20.0
 HISTOGRAM_CLASSES = 150  # what is beyond is counted in the last one
@@ -60,13 +65,14 @@ class RealTiming:
 
     ``round_trip`` is from the SYNC of a tick to the TORQUE that answers it; ``torque_jitter`` how far the time from one
     TORQUE to the next is from the period; ``plant_lateness`` how long after its instant the plant's period was begun.
-    A tick is late when its TORQUE had not come at the next instant: the plant then went on with an older torque.
+    A tick is late when its TORQUE had not come at the next instant: the plant then went on with an older torque. The
+    plant skips an instant, and sends no sensors, when it is late by a period or more.
     """
 
     period_us: float
     steps: int = 0
     late_ticks: int = 0
-    late_instants: int = 0  # of the plant: by a period or more
+    skipped_instants: int = 0
     total_s: float = 0.0
     round_trip: list[float] = field(default_factory=list)
     torque_jitter: list[float] = field(default_factory=list)
@@ -88,7 +94,7 @@ class RealTiming:
             },
             "deadline_misses": self.late_ticks,
             "firmware_overruns": int(self.reports[-1]["overruns"]) if self.reports else None,
-            "plant_late_instants": self.late_instants,
+            "plant_skipped_instants": self.skipped_instants,
             "round_trip_us": summary(self.round_trip),
             "torque_jitter_us": summary(self.torque_jitter),
             "plant_lateness_us": summary(self.plant_lateness),
@@ -114,20 +120,30 @@ class Listener:
         self.newest: Answer | None = None
         self.counter = -1  # of the newest answer
         self.answered_s = 0.0  # when a new counter came first
+        self.driving_since_s: float | None = None  # first torque while TRACKING
 
     def sent(self, tick: int) -> None:
         """Note that the SYNC of a tick goes out now."""
         self._sent_s[tick & 0xF] = time.perf_counter()
 
     def listen(self, until_s: float) -> None:
-        """Take frames until an instant, at least those that are there."""
-        while True:
-            left_s = max(until_s - time.perf_counter(), 0.0)
+        """Take frames until an instant; after it those that wait already, but never so many that it does not end."""
+        while (left_s := until_s - time.perf_counter()) > 0.0:
             heard = self._link.hear(left_s)
             if heard is not None:
                 self._note(*heard)
-            elif left_s == 0.0:
+        for _ in range(BACKLOG_FRAMES):
+            heard = self._link.hear(0.0)
+            if heard is None:
                 return
+            self._note(*heard)
+
+    def listen_for_drive(self, until_s: float) -> None:
+        """Take frames until an instant, or until the firmware drives."""
+        while self.driving_since_s is None and (left_s := until_s - time.perf_counter()) > 0.0:
+            heard = self._link.hear(left_s)
+            if heard is not None:
+                self._note(*heard)
 
     def _note(self, name: str, values: dict[str, float]) -> None:
         if name == "TORQUE":
@@ -145,6 +161,8 @@ class Listener:
         self.newest = Answer(torque, mu, self._link.codec["TORQUE"].label("mode", values["mode"]))
         interval_us = 1e6 * (now_s - self._newest_s)
         self._newest_s = now_s
+        if self.newest.mode == "TRACKING" and self.driving_since_s is None:
+            self.driving_since_s = now_s
         counter = int(values["counter"])
         if counter == self.counter:
             return
@@ -155,6 +173,19 @@ class Listener:
             self._timing.torque_jitter.append(abs(interval_us - self._timing.period_us))
         if counter in self._sent_s:
             self._timing.round_trip.append(1e6 * (now_s - self._sent_s.pop(counter)))
+
+
+@contextlib.contextmanager
+def _no_garbage_collection() -> Iterator[None]:
+    """Keep Python's collector, which may take many periods, out of the drive."""
+    was_on = gc.isenabled()
+    gc.collect()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_on:
+            gc.enable()
 
 
 class _RealTimeDrive:
@@ -179,25 +210,51 @@ class _RealTimeDrive:
         self.link.send_sync(tick)
         self.listener.sent(tick)
 
+    def send_first(self) -> None:
+        """Send tick 0, as often as it takes, each time with the same bytes."""
+        self.link.forget_rounding()
+        self.send(0)
+
+    def warm_up(self) -> None:
+        """Do everything once that a tick does, so that no period pays for what is compiled or loaded at first use."""
+        scratch, still = TraceRecorder(1), Answer((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), "IDLE")
+        record_row(scratch, self.plant, self.robot, 0.0, 0, self.reference[0], still)
+        diverged(self.plant, self.robot, 0.0, self.reference[0])
+        for _ in range(WARM_UP_PERIODS):
+            self.send_first()
+            self.listener.listen(time.perf_counter() + self.period_s)
+
     def begin(self) -> float:
         """Start the firmware and hold the plant until its first torque; returns when the plant's time begins."""
-        self.send(0)
+        self.warm_up()
+        self.send_first()
         self.link.command("START")
         give_up_s = time.perf_counter() + self.link.timeout_s
         while time.perf_counter() < give_up_s:
-            self.send(0)
-            self.listener.listen(time.perf_counter() + self.period_s)
-            newest = self.listener.newest
-            if newest is not None and newest.mode in ("TRACKING", "FAULT"):
-                return self.listener.answered_s - 0.5 * self.period_s
+            self.send_first()
+            self.listener.listen_for_drive(time.perf_counter() + self.period_s)
+            if self.listener.driving_since_s is not None:
+                return self.listener.driving_since_s - 0.5 * self.period_s
+            if self.listener.newest is not None and self.listener.newest.mode == "FAULT":
+                raise OmnibotError(f"the firmware would not drive: fault {self.link.fault()}")
         raise SilentError(f"no TORQUE while TRACKING from node {self.link.codec.node} on {self.link.bus.channel_info}")
 
-    def advance(self, tick: int, next_s: float) -> tuple[Status, str] | None:
-        """Wait for the next instant and integrate the period before it; returns why the run ends here, if it does."""
-        self.listener.listen(next_s)
-        lateness_s = time.perf_counter() - next_s
+    def exchange(self, tick: int, instant_s: float) -> None:
+        """Tell the firmware of a tick and hear it until the next instant.
+
+        A simulator that is a period late or more tells nothing, to be in time again: the plant goes on by itself.
+        """
+        lateness_s = time.perf_counter() - instant_s
         self.timing.plant_lateness.append(1e6 * lateness_s)
-        self.timing.late_instants += lateness_s >= self.period_s
+        if lateness_s >= self.period_s:
+            self.timing.skipped_instants += 1
+            return
+        if tick > 0:  # that of tick 0 went out before the firmware drove
+            self.send(tick)
+        self.listener.listen(instant_s + self.period_s)
+
+    def advance(self, tick: int) -> tuple[Status, str] | None:
+        """Integrate the period after a tick with the newest torque; returns why the run ends here, if it does."""
         self.timing.late_ticks += self.listener.counter != tick & 0xF
         answer = self.listener.newest
         assert answer is not None  # begin() saw to it
@@ -229,13 +286,11 @@ class _RealTimeDrive:
             ended = diverged(self.plant, self.robot, self.link.time_s, self.reference[tick])
             if ended is not None:
                 return ended
-            if tick > 0:
-                self.send(tick)
-            next_s = instant_s + self.period_s
-            ended = self.advance(tick, next_s)
+            self.exchange(tick, instant_s)
+            ended = self.advance(tick)
             if ended is not None:
                 return ended
-            instant_s = next_s + self.phase_step_s(tick, instant_s)
+            instant_s += self.period_s + self.phase_step_s(tick, instant_s)
         return Status.COMPLETED, ""
 
 
@@ -262,7 +317,8 @@ def drive_in_real_time(
     session = _RealTimeDrive(link, plant, robot, trajectory, sensors)
     begin_s = time.perf_counter()
     try:
-        status, reason = session.run()
+        with _no_garbage_collection():
+            status, reason = session.run()
     except SilentError as error:
         status, reason = Status.TIMEOUT, str(error)
     except OmnibotError as error:

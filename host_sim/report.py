@@ -145,8 +145,9 @@ def draw_histograms(histograms: Mapping[str, Mapping[str, Any]]) -> Figure:
             counts = np.asarray(values["counts"], dtype=float)
             edges_us = values["class_us"] * np.arange(len(counts) + 1)
             axes.stairs(counts, edges_us, fill=True, color=ACTUAL)
-            axes.set_yscale("log")
-            axes.set_ylim(bottom=0.5)
+            if counts.any():
+                axes.set_yscale("log")
+                axes.set_ylim(bottom=0.5)
             axes.set_title(f"{name.removesuffix('_us').replace('_', ' ').capitalize()}: ticks over time (µs)")
         return figure
 

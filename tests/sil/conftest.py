@@ -25,11 +25,12 @@ def start_firmware() -> Iterator[Start]:
     """Start omnibot-sil and wait until it listens; what is left at the end of the test is killed."""
     started: list[subprocess.Popen[bytes]] = []
 
-    def start(node: int = 0) -> "subprocess.Popen[bytes]":
-        process = subprocess.Popen([SIL, "--can", "vcan0", "--node", str(node)], stderr=subprocess.PIPE)
+    def start(*options: str, node: int = 0) -> "subprocess.Popen[bytes]":
+        process = subprocess.Popen([SIL, "--can", "vcan0", "--node", str(node), *options], stderr=subprocess.PIPE)
         started.append(process)
         assert process.stderr is not None
-        assert b"on vcan0" in process.stderr.readline()
+        while b"on vcan0" not in (line := process.stderr.readline()):
+            assert line, "omnibot-sil ended before it listened"
         return process
 
     yield start

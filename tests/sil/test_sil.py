@@ -115,6 +115,69 @@ def test_python_can_reads_the_bus_log(tmp_path: Path, start_firmware: Start) -> 
     assert ids.count(64) == ids.count(80) == ids.count(96) == 1201
 
 
+# ---- by the clock
+
+# This machine may be anything but a real-time one: what is tested is that the loop keeps its time base and tells all.
+PATIENT = ["--set", "wheel_speed_timeout_s=1", "--set", "tick_gap_max=100"]
+
+
+def test_realtime_run_keeps_the_clock_and_reports_everything(tmp_path: Path, start_firmware: Start) -> None:
+    firmware = start_firmware("--time", "realtime", "--timing", str(tmp_path / "timing.json"))
+    assert omnibot_run(tmp_path, "--bus", "vcan0", "--time", "realtime", *PATIENT) == (0, "")
+    firmware.send_signal(signal.SIGTERM)
+    assert firmware.wait(timeout=5) == 0
+
+    result = json.loads((tmp_path / "result.json").read_text())
+    timing = result["timing"]
+    assert result["scenario"]["time"] == "realtime"
+    assert timing["steps"] == 1201
+    assert 0.7 < timing["real_time_factor"] <= 1.0  # the start counts, and a machine may be busy
+    assert timing["step_time_us"]["min"] <= timing["step_time_us"]["mean"] <= timing["step_time_us"]["max"]
+    assert 0 <= timing["deadline_misses"] <= 1201
+    assert timing["round_trip_us"]["max"] >= timing["round_trip_us"]["min"] > 0.0
+    rounds = sum(result["histograms"]["round_trip_us"]["counts"])
+    assert 0 < rounds <= 1201
+    assert (tmp_path / "timing.png").exists()
+
+    own = json.loads((tmp_path / "timing.json").read_text())
+    for name in ("step_time", "release_jitter"):
+        assert sum(own[name]["classes"]) == own[name]["count"] > 1000
+        assert own[name]["min_us"] <= own[name]["mean_us"] <= own[name]["max_us"]
+    assert own["overruns"] >= timing["firmware_overruns"]
+
+
+def test_firmware_with_a_timer_still_runs_in_lockstep(tmp_path: Path, start_firmware: Start, inproc: Trace) -> None:
+    start_firmware("--time", "realtime")
+    assert omnibot_run(tmp_path, "--bus", "vcan0") == (0, "")
+    assert compare(Trace.load(tmp_path), inproc) == []
+
+
+def test_realtime_with_a_lockstep_firmware_ends_with_the_cure(tmp_path: Path, start_firmware: Start) -> None:
+    start_firmware()
+    code, error = omnibot_run(tmp_path, "--bus", "vcan0", "--time", "realtime")
+    assert code == 1
+    assert "omnibot-sil --can INTERFACE --time realtime" in error
+
+
+def test_firmware_stopped_in_real_time_faults_by_itself_when_it_goes_on(tmp_path: Path, start_firmware: Start) -> None:
+    firmware = start_firmware("--time", "realtime")
+    answered = count_frames(80)
+
+    def stop_and_continue() -> None:
+        assert answered(300), "the run never came to its middle"
+        os.kill(firmware.pid, signal.SIGSTOP)
+        time.sleep(0.3)
+        os.kill(firmware.pid, signal.SIGCONT)
+
+    thread = threading.Thread(target=stop_and_continue)
+    thread.start()
+    code, error = omnibot_run(tmp_path, "--bus", "vcan0", "--time", "realtime", *PATIENT)
+    thread.join()
+    assert code == 1
+    assert "OVERRUN" in error or "HOST_SILENT" in error
+    assert status(tmp_path)["status"] == "fault"
+
+
 # ---- failures
 
 
@@ -180,6 +243,8 @@ def test_other_wire_definition_is_refused_by_name(tmp_path: Path, start_firmware
         (["--can", "vcan0", "--node", "x"], b"from 0 to 15"),
         (["--can", "vcan7"], b"cannot open vcan7"),
         (["--can", "vcan0", "more"], b"usage"),
+        (["--can", "vcan0", "--time", "sometimes"], b"must be lockstep or realtime"),
+        (["--can", "vcan0", "--timing", "x.json"], b"add --time realtime"),
     ],
 )
 def test_omnibot_sil_refuses_bad_arguments(arguments: list[str], says: bytes) -> None:

@@ -13,7 +13,8 @@ EXPORTED size_t omnibot_size(void)
 
 EXPORTED void omnibot_init(void *memory, uint8_t node)
 {
-    app_init(memory, &omnibot, node, (app_port_t){.drives = 1u << DRIVE_LOCKSTEP, .drive = DRIVE_LOCKSTEP});
+    const app_port_t port = {.drives = 1u << DRIVE_LOCKSTEP | 1u << DRIVE_REALTIME, .drive = DRIVE_LOCKSTEP};
+    app_init(memory, &omnibot, node, port);
 }
 
 EXPORTED void omnibot_receive(void *instance, const frame_t *frame)
@@ -24,4 +25,9 @@ EXPORTED void omnibot_receive(void *instance, const frame_t *frame)
 EXPORTED bool omnibot_transmit(void *instance, frame_t *frame)
 {
     return app_transmit(instance, frame);
+}
+
+EXPORTED void omnibot_tick(void *instance)
+{
+    app_tick(instance);
 }

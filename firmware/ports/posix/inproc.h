@@ -12,7 +12,8 @@
 /// Bytes of memory an instance needs, aligned for any type.
 size_t omnibot_size(void);
 
-/// Makes an instance of node 0 … 15 in `memory`.
+/// Makes an instance of node 0 … 15 in `memory`; in lockstep, and able to step by omnibot_tick where the host asks for
+/// real time.
 void omnibot_init(void *memory, uint8_t node);
 
 /// Gives the instance one frame off the bus; it acts on it at once.
@@ -20,5 +21,8 @@ void omnibot_receive(void *instance, const frame_t *frame);
 
 /// Takes the instance's next frame for the bus; false when there is none.
 bool omnibot_transmit(void *instance, frame_t *frame);
+
+/// Tells the instance that a control period has passed.
+void omnibot_tick(void *instance);
 
 #endif
