@@ -1,0 +1,239 @@
+"""The frames that the firmware is measured with: closed-loop runs, random states, and what goes wrong on a bus.
+
+Everything is made at run time, from seeds, by the simulator and the firmware's host build; nothing depends on a clock.
+A session is a firmware from its start: groups of frames that go in before anybody takes the answers out.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import product
+from typing import Any, NamedTuple
+
+import can
+import numpy as np
+
+from host_sim.codec import Codec
+from host_sim.inproc import InprocBus
+from host_sim.link import Link
+from host_sim.planner import PathRequest, plan
+from host_sim.plant import Plant
+from host_sim.robot import Robot, load_robot
+from host_sim.run import Scenario, drive, prepare, start_state
+from host_sim.trajectory import Trajectory
+
+NODE = 0
+SEED = 20140
+ORDERS = ("0", "1", "2", "3", "exact", "observer")
+OUTPUTS = ("posture", "point")
+TRACTIONS = ("linear", "magic")
+
+# Kinds of groups. Only `TICK` is a tick as it should be: driving, with fresh sensors.
+SETUP, TICK, IDLE_TICK, AFTER_GAP, FAULT = "setup", "tick", "idle tick", "tick after missed ones", "tick with a fault"
+
+RANDOM_TICKS = 60
+RANDOM_SETTINGS = (
+    {"epsilon": "0.001"},
+    {"epsilon": "0.05", "series_ratio_max": "1e9", "force_bound_N": "1000", "torque_bound_Nm": "0.327"},
+    {
+        "epsilon": "1",
+        "observer_lag_s": "0.01",
+        "speed_length_m": "0",
+        "force_bound_N": "0.5",
+        "torque_bound_Nm": "0.02",
+    },
+)
+
+
+class FrameIn(NamedTuple):
+    """One frame for the firmware."""
+
+    identifier: int
+    data: bytes
+
+
+class Group(NamedTuple):
+    """Frames that go in one behind the other; then the answers are taken out until there are none."""
+
+    kind: str
+    frames: tuple[FrameIn, ...]
+
+
+@dataclass
+class Session:
+    """A firmware from its start."""
+
+    name: str
+    order: str
+    output: str
+    groups: list[Group] = field(default_factory=list)
+
+
+class Recorder(InprocBus):
+    """A bus to the firmware in-process that keeps what it was sent."""
+
+    def __init__(self, **kwargs: Any) -> None:
+        self.sent: list[FrameIn] = []
+        super().__init__(node=NODE, **kwargs)
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """Keep the frame, and give it to the firmware."""
+        self.sent.append(FrameIn(msg.arbitration_id, bytes(msg.data)))
+        super().send(msg, timeout)
+
+
+class Wire:
+    """Frames by the name of their message."""
+
+    def __init__(self) -> None:
+        self.codec = Codec(node=NODE)
+        self._sensors = {self.codec[name].arbitration_id for name in ("POSE", "WHEEL_SPEED")}
+        self._sync = self.codec["SYNC"].arbitration_id
+
+    def frame(self, name: str, *values: float) -> FrameIn:
+        """Return a message of the wire, its fields in their order."""
+        message = self.codec[name]
+        return FrameIn(message.arbitration_id, message.pack(*values))
+
+    def grouped(self, frames: Sequence[FrameIn]) -> Iterator[Group]:
+        """Put each SYNC together with the sensors sent for it; any other frame stands alone."""
+        waiting: list[FrameIn] = []
+        for frame in frames:
+            if frame.identifier in self._sensors:
+                waiting.append(frame)
+            elif frame.identifier == self._sync:
+                yield Group(TICK, (*waiting, frame))
+                waiting = []
+            else:
+                yield Group(SETUP, (frame,))
+
+
+# ---- closed loops
+
+
+def requests() -> dict[str, tuple[PathRequest, float]]:
+    """Return what is driven in closed loop, and on what epsilon: mild slip, and so much that the bounds act."""
+    return {
+        "rounded": (PathRequest("rhombus", 1.0, "rounded", 8.0, 0.4, 0.15), 0.01),
+        "sharp": (PathRequest("rhombus", 1.0, "sharp", 8.0, 0.3, 0.05), 0.1),
+        "lemniscate": (PathRequest("lemniscate", 1.5, corner_accel_m_per_s2=8.0, duration_s=0.8), 0.03),
+    }
+
+
+def closed_loop(name: str, scenario: Scenario, trajectory: Trajectory, robot: Robot, wire: Wire) -> Session:
+    """Drive a scenario in-process and keep every frame that the firmware was sent."""
+    plant = Plant(robot, scenario.traction_of(robot))
+    plant.reset(*start_state(robot, trajectory))
+    with Recorder() as bus:
+        link = Link(bus, wire.codec)
+        prepare(link, robot, scenario, trajectory)
+        drive(link, plant, robot, trajectory)
+        return Session(name, scenario.order, scenario.output, list(wire.grouped(bus.sent)))
+
+
+# ---- scripts: frames that no simulator would send
+
+
+class Script:
+    """Writes a session frame by frame, the firmware set up and driving."""
+
+    def __init__(self, wire: Wire, session: Session, scenario: Scenario, trajectory: Trajectory, robot: Robot) -> None:
+        self._wire, self.session, self._tick, self._command = wire, session, 0, 8
+        with Recorder() as bus:
+            prepare(Link(bus, wire.codec), robot, scenario, trajectory)
+            session.groups += wire.grouped(bus.sent)
+
+    def setup(self, name: str, *values: float) -> None:
+        """Send one message that is not of a tick."""
+        self.session.groups.append(Group(SETUP, (self._wire.frame(name, *values),)))
+
+    def command(self, operation: str) -> None:
+        """Ask for a change of mode."""
+        self._command = (self._command + 1) & 0xF
+        self.setup("COMMAND", self._wire.codec["COMMAND"].choices["operation"][operation], self._command)
+
+    def tick(
+        self,
+        kind: str,
+        pose: Sequence[float] | None = (0.0, 0.0, 0.0),
+        wheel_speed: Sequence[float] | None = (0.0, 0.0, 0.0),
+        ticks: int = 1,
+    ) -> None:
+        """Send the sensors, where there are any, and the SYNC of the tick that many ticks on."""
+        self._tick += ticks
+        counter = self._tick & 0xF
+        frames = [self._wire.frame("POSE", *pose, counter)] if pose is not None else []
+        frames += [self._wire.frame("WHEEL_SPEED", *wheel_speed, counter)] if wheel_speed is not None else []
+        frames.append(self._wire.frame("SYNC", self._tick, counter))
+        self.session.groups.append(Group(kind, tuple(frames)))
+
+    def restart(self) -> None:
+        """Drive again after a fault."""
+        self.command("CLEAR")
+        self.command("START")
+
+
+def random_states(script: Script, rng: np.random.Generator) -> None:
+    """Poses and wheel speeds out of all that the wire can carry, most of them small."""
+    for _ in range(RANDOM_TICKS):
+        reach = 10.0 ** rng.uniform(-4.0, 0.0, size=2)
+        pose = [*rng.uniform(-20.9, 20.9, size=2) * reach[0], rng.uniform(-np.pi, np.pi)]
+        script.tick(TICK, pose, rng.uniform(-262.0, 262.0, size=3) * reach[1])
+    script.tick(TICK, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))  # V = 0: no derivative
+
+
+def what_goes_wrong(script: Script) -> None:
+    """Missing, late and unusable sensors, missed ticks, damaged frames, commands out of place."""
+    nan, good = float("nan"), (0.1, 0.1, 0.1)
+    script.tick(TICK)
+    script.tick(FAULT, pose=(nan, nan, nan))  # the fault comes up in this tick
+    script.tick(IDLE_TICK)
+    script.restart()
+    script.tick(TICK, wheel_speed=good)
+    script.tick(FAULT, wheel_speed=(nan, 0.0, 0.0))
+    script.restart()
+    script.tick(TICK, wheel_speed=good)
+    for _ in range(5):
+        script.tick(TICK, wheel_speed=None)
+    script.tick(FAULT, wheel_speed=None)  # stale
+    script.restart()
+    script.tick(FAULT, pose=None)  # never had one
+    script.restart()
+    script.tick(TICK, wheel_speed=good)
+    for ticks in (2, 5, 11):
+        script.tick(AFTER_GAP, wheel_speed=good, ticks=ticks)
+    script.tick(FAULT, wheel_speed=good, ticks=12)
+    script.restart()
+    script.tick(TICK, wheel_speed=good)
+    script.tick(IDLE_TICK, wheel_speed=good, ticks=0)  # asked again
+    script.setup("PARAMETER_SET", 0, 1.0, 3)  # refused in motion
+    script.setup("PARAMETER_GET", 200)
+    script.setup("TRAJECTORY_BEGIN", 100, 0)
+    script.setup("TRAJECTORY_DATA", 0, 1, 2, 3, 4, 5, 6)
+    script.session.groups.append(Group(SETUP, (FrameIn(0x040, bytes(6)), FrameIn(0x020, b"\x01"), FrameIn(0x7F0, b""))))
+    script.command("STOP")
+    script.tick(IDLE_TICK)
+
+
+# ---- all of it
+
+
+def sessions(orders: Sequence[str] = ORDERS) -> Iterator[Session]:
+    """Make the corpus, or what of it concerns some orders, one session after the other."""
+    wire, robot = Wire(), load_robot()
+    paths = {name: (request, epsilon, plan(request)) for name, (request, epsilon) in requests().items()}
+    for order, output, traction in product(orders, OUTPUTS, TRACTIONS):
+        label = f"{order}, {output}, {traction}"
+        for name, (request, epsilon, trajectory) in paths.items():
+            scenario = Scenario(request, epsilon, order, output, traction)  # type: ignore[arg-type]  # of TRACTIONS
+            yield closed_loop(f"{name}, {label}", scenario, trajectory, robot, wire)
+        request, _, trajectory = paths["rounded"]
+        for number, settings in enumerate(RANDOM_SETTINGS):
+            told = dict(settings)
+            scenario = Scenario(request, float(told.pop("epsilon")), order, output, traction, parameters=told)  # type: ignore[arg-type]
+            session = Session(f"random {number}, {label}", order, output)
+            random_states(Script(wire, session, scenario, trajectory, robot), np.random.default_rng(SEED + number))
+            yield session
+        session = Session(f"faults, {label}", order, output)
+        scenario = Scenario(request, 0.01, order, output, traction)  # type: ignore[arg-type]
+        what_goes_wrong(Script(wire, session, scenario, trajectory, robot))
+        yield session

@@ -1,0 +1,127 @@
+"""The corpus through the emulated firmware: what every step, message and tick of it cost."""
+
+from collections import Counter, defaultdict
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from step_cost.corpus import SETUP, TICK, FrameIn, Session
+from step_cost.image import Image
+from step_cost.machine import FRAME, FRAME_BYTES, INSTANCE, Machine
+from step_cost.paths import CALL_FROM_OUTSIDE, NOTHING, Blocks, Cost, PathCost
+
+STEP = ("trajectory_reference", "control_step")
+
+
+class Target:
+    """The firmware's four calls (firmware/ports/posix/inproc.h) on the emulated processor."""
+
+    def __init__(self, image: Image) -> None:
+        self.image = image
+        self.machine = Machine(image.file)
+        self.blocks = Blocks(image, self.machine.block_bytes)
+        self._receive, self._transmit = image.functions["omnibot_receive"], image.functions["omnibot_transmit"]
+
+    def start(self, node: int) -> None:
+        """Make the firmware new."""
+        self.machine.call(self.image.functions["omnibot_init"], INSTANCE, node)
+
+    def exchange(self, frames: Iterable[FrameIn]) -> list[FrameIn]:
+        """Give frames to the firmware, take its answers out until there are none, and return them."""
+        machine = self.machine
+        del machine.path[:]
+        for identifier, data in frames:
+            machine.write(FRAME, identifier.to_bytes(2, "little") + bytes((len(data),)) + data.ljust(8, b"\0"))
+            machine.path.append(CALL_FROM_OUTSIDE)
+            machine.call(self._receive, INSTANCE, FRAME)
+        answers: list[FrameIn] = []
+        while True:
+            machine.path.append(CALL_FROM_OUTSIDE)
+            if not machine.call(self._transmit, INSTANCE, FRAME) & 0xFF:
+                return answers
+            raw = machine.read(FRAME, FRAME_BYTES)
+            answers.append(FrameIn(int.from_bytes(raw[:2], "little"), raw[3 : 3 + raw[2]]))
+
+    def path(self) -> bytes:
+        """Return the path of the last exchange."""
+        return self.machine.path.tobytes()
+
+
+class Range(NamedTuple):
+    """A figure over the corpus."""
+
+    minimum: int
+    median: int
+    maximum: int
+
+
+@dataclass
+class Figures:
+    """Costs of one thing, and how often each came up."""
+
+    seen: Counter[Cost] = field(default_factory=Counter)
+
+    def add(self, cost: Cost, times: int = 1) -> None:
+        """Note a cost."""
+        self.seen[cost] += times
+
+    def range_of(self, part: str) -> Range:
+        """Return minimum, median and maximum of 'instructions', 'low', 'cycles' or 'high'."""
+        values = sorted((getattr(cost, part), times) for cost, times in self.seen.items())
+        middle = (sum(times for _, times in values) + 1) // 2
+        passed = np.cumsum([times for _, times in values])
+        return Range(values[0][0], values[int(np.searchsorted(passed, middle))][0], values[-1][0])
+
+    @property
+    def count(self) -> int:
+        """How many were seen."""
+        return sum(self.seen.values())
+
+
+class Class(NamedTuple):
+    """What a session is about, as far as the cost of its ticks depends on it."""
+
+    order: str
+    output: str
+
+
+@dataclass
+class Measurement:
+    """Everything counted over the corpus."""
+
+    steps: dict[Class, Figures] = field(default_factory=lambda: defaultdict(Figures))
+    ticks: dict[tuple[Class, str], Figures] = field(default_factory=lambda: defaultdict(Figures))
+    functions: dict[str, Figures] = field(default_factory=lambda: defaultdict(Figures))
+    paths: dict[tuple[Class, str], Counter[bytes]] = field(default_factory=lambda: defaultdict(Counter))
+
+
+def step_cost(path: PathCost) -> Cost | None:
+    """Return trajectory evaluation and control step of a tick together, None where there was no step."""
+    costs = [path.of(function) for function in STEP]
+    return None if NOTHING in costs else costs[0].plus(costs[1])
+
+
+def run_session(target: Target, session: Session, paths: dict[tuple[Class, str], Counter[bytes]]) -> None:
+    """Put one session through the emulated firmware and count the paths of its groups."""
+    target.start(0)
+    key = Class(session.order, session.output)
+    for group in session.groups:
+        target.exchange(group.frames)
+        paths[key, group.kind][target.path()] += 1
+
+
+def evaluate(target: Target, measurement: Measurement) -> Measurement:
+    """Work out what the paths cost."""
+    for (key, kind), paths in measurement.paths.items():
+        for path, times in paths.items():
+            cost = target.blocks.cost(path)
+            if kind != SETUP:
+                measurement.ticks[key, kind].add(cost.total, times)
+            step = step_cost(cost)
+            if step is not None and kind == TICK:
+                measurement.steps[key].add(step, times)
+            for activation in cost.activations:
+                measurement.functions[activation.function].add(activation.cost, times)
+    return measurement
