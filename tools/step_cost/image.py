@@ -40,7 +40,7 @@ class Image:
         """Return bytes of an executable section."""
         for start, data in self._code:
             if start <= address < start + len(data):
-                return data[address - start : address - start + size]
+                return bytes(data[address - start : address - start + size])
         raise ValueError(f"no code at {address:#010x} in {self.file}")
 
     @cached_property

@@ -6,7 +6,6 @@ it and what it jumped on to (tail calls) off again. A function's figures are inc
 """
 
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -38,6 +37,8 @@ class Activation(NamedTuple):
 
     function: str
     cost: Cost
+    begin: int  # of the path, the place of its first block
+    end: int  # and the place behind its last
 
 
 @dataclass(frozen=True)
@@ -61,7 +62,59 @@ class PathCost:
 class _Frame:
     function: str
     back: int  # where it returns to
+    begin: int
     cost: Cost = NOTHING
+
+
+class _Walk:
+    """Follows calls and returns along a path, and charges what is on the stack."""
+
+    def __init__(self) -> None:
+        self.place = 0
+        self.total = NOTHING
+        self.own: dict[str, Cost] = {}
+        self.done: list[Activation] = []
+        self._stack: list[_Frame] = []
+
+    def charge(self, cost: Cost) -> None:
+        """Charge the function on top."""
+        frame = self._stack[-1]
+        frame.cost = frame.cost.plus(cost)
+        self.total = self.total.plus(cost)
+        self.own[frame.function] = self.own.get(frame.function, NOTHING).plus(cost)
+
+    def enter(self, function: str, last: Instruction | None, address: int) -> None:
+        """Come to a block: into a call, out of one, or on to another function."""
+        stack = self._stack
+        if last is None:
+            stack.append(_Frame(function, CALL_FROM_OUTSIDE, self.place))
+        elif last.calls and address != last.end:
+            stack.append(_Frame(function, last.end, self.place))
+        elif address == stack[-1].back:
+            while len(stack) > 1 and stack[-1].back == address:
+                self._finish()
+        elif function != stack[-1].function:
+            self._jump(function)
+
+    def leave(self) -> None:
+        """Return to outside."""
+        while self._stack:
+            self._finish()
+
+    def _finish(self) -> None:
+        frame = self._stack.pop()
+        self.done.append(Activation(frame.function, frame.cost, frame.begin, self.place))
+        if self._stack:
+            self._stack[-1].cost = self._stack[-1].cost.plus(frame.cost)
+
+    def _jump(self, function: str) -> None:
+        """Go on in another function without a call: a tail call, or back from a part split off."""
+        back = self._stack[-1].back
+        if function in [frame.function for frame in self._stack if frame.back == back]:
+            while self._stack[-1].function != function:
+                self._finish()
+        else:
+            self._stack.append(_Frame(function, back, self.place))
 
 
 class Blocks:
@@ -72,6 +125,7 @@ class Blocks:
         self._bytes = block_bytes
         self._decoder = Decoder()
         self._decoded: dict[int, list[Instruction]] = {}
+        self._by_address: dict[int, Instruction] = {}
         self._costs: dict[tuple[int, int], Cost] = {}
         self._paths: dict[bytes, PathCost] = {}
 
@@ -80,7 +134,12 @@ class Blocks:
         if address not in self._decoded:
             code = self.image.code(address, self._bytes[address])
             self._decoded[address] = self._decoder.decode(code, address)
+            self._by_address.update((instruction.address, instruction) for instruction in self._decoded[address])
         return self._decoded[address]
+
+    def instruction_at(self, address: int) -> Instruction:
+        """Return an instruction of a block that was executed."""
+        return self._by_address[address]
 
     def _last(self, address: int) -> Instruction | None:
         return self.instructions(address)[-1] if address != CALL_FROM_OUTSIDE else None
@@ -101,74 +160,44 @@ class Blocks:
         return self._paths[path]
 
     def _work_out(self, path: list[int]) -> PathCost:
-        total, own, done = NOTHING, dict[str, Cost](), list[Activation]()
-        stack: list[_Frame] = []
-
-        def charge(cost: Cost) -> None:
-            nonlocal total
-            total = total.plus(cost)
-            frame = stack[-1]
-            frame.cost = frame.cost.plus(cost)
-            own[frame.function] = own.get(frame.function, NOTHING).plus(cost)
-
-        def finish() -> None:
-            frame = stack.pop()
-            done.append(Activation(frame.function, frame.cost))
-            if stack:
-                stack[-1].cost = stack[-1].cost.plus(frame.cost)
-
+        walk = _Walk()
         before = CALL_FROM_OUTSIDE
-        for address in [*path, CALL_FROM_OUTSIDE]:
+        for place, address in enumerate([*path, CALL_FROM_OUTSIDE]):
+            walk.place = place
             last = self._last(before)
             if last is not None and address != last.end:
-                charge(REFILL)
+                walk.charge(REFILL)
             if address == CALL_FROM_OUTSIDE:
-                while stack:
-                    finish()
+                walk.leave()
             else:
-                self._enter(stack, last, address, finish)
-                charge(self._cost(before, address))
+                walk.enter(self.image.function_at(address), last, address)
+                walk.charge(self._cost(before, address))
             before = address
-        return PathCost(total, tuple(done), own)
-
-    def _enter(self, stack: list[_Frame], last: Instruction | None, address: int, finish: Callable[[], None]) -> None:
-        """Bring the stack of activations to a block: into a call, out of one, or on to another function."""
-        function = self.image.function_at(address)
-        if last is None:
-            stack.append(_Frame(function, CALL_FROM_OUTSIDE))
-        elif last.calls and address != last.end:
-            stack.append(_Frame(function, last.end))
-        elif address == stack[-1].back:
-            back = address
-            while len(stack) > 1 and stack[-1].back == back:
-                finish()
-        elif function != stack[-1].function:
-            self._jump(stack, function, finish)
-
-    @staticmethod
-    def _jump(stack: list[_Frame], function: str, finish: Callable[[], None]) -> None:
-        """Go on in another function without a call: a tail call, or back from a part split off."""
-        back = stack[-1].back
-        same = [frame.function for frame in stack if frame.back == back]
-        if function in same:
-            while stack[-1].function != function:
-                finish()
-        else:
-            stack.append(_Frame(function, back))
+        return PathCost(walk.total, tuple(walk.done), walk.own)
 
     # ---- where the cycles go
 
-    def by_instruction(self, path: bytes, model: Model = CENTRAL) -> Counter[int]:
-        """Return the cycles spent at each address, refills with the branch that caused them."""
+    def by_instruction(self, path: bytes, begin: int, end: int, model: Model = CENTRAL) -> Counter[int]:
+        """Return the cycles spent at each address between two places of a path, refills with what caused them."""
         spent: Counter[int] = Counter()
-        before = CALL_FROM_OUTSIDE
-        for address in [*memoryview(path).cast("I").tolist(), CALL_FROM_OUTSIDE]:
-            last = self._last(before)
-            if last is not None and address != last.end:
-                spent[last.address] += model.refill
-            if address != CALL_FROM_OUTSIDE:
-                block = self.instructions(address)
-                for instruction, cycles in zip(block, block_cycles(model, block, last), strict=True):
-                    spent[instruction.address] += cycles
-            before = address
+        addresses = [CALL_FROM_OUTSIDE, *memoryview(path).cast("I").tolist(), CALL_FROM_OUTSIDE]
+        around = zip(addresses[begin:end], addresses[begin + 1 : end + 1], addresses[begin + 2 : end + 2], strict=True)
+        for before, address, behind in around:
+            if address == CALL_FROM_OUTSIDE:
+                continue
+            block = self.instructions(address)
+            for instruction, cycles in zip(block, block_cycles(model, block, self._last(before)), strict=True):
+                spent[instruction.address] += cycles
+            if behind != block[-1].end:
+                spent[block[-1].address] += model.refill
         return spent
+
+    def executed(self, path: bytes, begin: int, end: int) -> Counter[int]:
+        """Return how often each instruction between two places of a path was executed."""
+        blocks = Counter(memoryview(path).cast("I")[begin:end].tolist())
+        del blocks[CALL_FROM_OUTSIDE]
+        times: Counter[int] = Counter()
+        for address, number in blocks.items():
+            for instruction in self.instructions(address):
+                times[instruction.address] += number
+        return times

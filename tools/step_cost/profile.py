@@ -1,15 +1,16 @@
-"""Where the cycles of a step go: the costliest tick of the corpus, by function, kind of instruction and line."""
+"""Where the cycles go in the costliest step of the corpus: by instruction, source line, kind and function."""
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 
 from rich.markup import escape
 from rich.table import Table
 
-from step_cost.measure import step_cost
-from step_cost.paths import CALL_FROM_OUTSIDE, Blocks
+from step_cost.measure import STEP, step_cost
+from step_cost.paths import Blocks
 
-LINES = 40
+ROWS = 40
 
 
 def worst_path(blocks: Blocks, paths: Counter[bytes]) -> bytes:
@@ -22,69 +23,81 @@ def worst_path(blocks: Blocks, paths: Counter[bytes]) -> bytes:
     return max(paths, key=cycles)
 
 
-def _executed(path: bytes) -> list[int]:
-    return [address for address in memoryview(path).cast("I").tolist() if address != CALL_FROM_OUTSIDE]
+@dataclass
+class Spent:
+    """Cycles and executions by the address of the instruction."""
+
+    cycles: Counter[int]
+    times: Counter[int]
+
+    def by(self, name: Callable[[int], str]) -> list[tuple[str, int, int]]:
+        """Return name, executions and cycles, added up by a name of the address, costliest first."""
+        cycles, times = Counter[str](), Counter[str]()
+        for address, number in self.cycles.items():
+            cycles[name(address)] += number
+            times[name(address)] += self.times[address]
+        return [(key, times[key], number) for key, number in cycles.most_common()]
 
 
-def _by_function(blocks: Blocks, path: bytes) -> Table:
-    cost = blocks.cost(path)
-    calls = Counter(activation.function for activation in cost.activations)
-    total = cost.total.cycles
-    made = Table("function", "calls", "own instructions", "own cycles", "of tick", "with callees", title="by function")
-    for name, own in sorted(cost.own.items(), key=lambda item: -item[1].cycles):
-        share = f"{100 * own.cycles / total:.1f} %"
-        made.add_row(name, str(calls[name]), str(own.instructions), str(own.cycles), share, str(cost.of(name).cycles))
-    made.add_section()
-    made.add_row("whole tick", "", str(cost.total.instructions), str(total), "100 %", "")
-    return made
+def spent_in(blocks: Blocks, path: bytes, functions: tuple[str, ...] | None = None) -> Spent:
+    """Return what was spent in some functions and what they call, or in all of a path."""
+    if functions is None:
+        spans = [(0, len(path) // 4)]
+    else:
+        spans = [(a.begin, a.end) for a in blocks.cost(path).activations if a.function in functions]
+    spent = Spent(Counter(), Counter())
+    for begin, end in spans:
+        spent.cycles.update(blocks.by_instruction(path, begin, end))
+        spent.times.update(blocks.executed(path, begin, end))
+    return spent
 
 
-def _by_kind(blocks: Blocks, path: bytes) -> Table:
-    spent, counts, cycles = blocks.by_instruction(path), Counter[str](), Counter[str]()
-    kinds = {i.address: i.kind for address in set(_executed(path)) for i in blocks.instructions(address)}
-    for address in _executed(path):
-        counts.update(instruction.kind for instruction in blocks.instructions(address))
-    for address, number in spent.items():
-        cycles[kinds[address]] += number
-    total = sum(cycles.values())
-    made = Table("kind", "instructions", "cycles", "of tick", title="by kind of instruction")
-    for kind, number in cycles.most_common():
-        made.add_row(kind, str(counts[kind]), str(number), f"{100 * number / total:.1f} %")
-    return made
-
-
-def _by_line(blocks: Blocks, path: bytes) -> Table:
-    spent: Counter[tuple[str, str]] = Counter()
-    counts: Counter[tuple[str, str]] = Counter()
-    image = blocks.image
-    for address, number in blocks.by_instruction(path).items():
-        spent[image.function_at(address), image.line_at(address)] += number
-    for block in _executed(path):
-        for instruction in blocks.instructions(block):
-            counts[image.function_at(instruction.address), image.line_at(instruction.address)] += 1
-    made = Table("function", "line", "instructions", "cycles", title=f"the {LINES} costliest source lines")
-    for (function, line), number in spent.most_common(LINES):
-        made.add_row(function, line, str(counts[function, line]), str(number))
-    return made
-
-
-def _by_instruction(blocks: Blocks, path: bytes) -> Table:
-    executed = _executed(path)
-    instructions = {i.address: i for block in set(executed) for i in blocks.instructions(block)}
-    times = Counter(i.address for block in executed for i in blocks.instructions(block))
+def _instructions(blocks: Blocks, spent: Spent) -> Table:
     columns = ("address", "function", "instruction", "times", "cycles", "line")
-    made = Table(*columns, title=f"the {LINES} costliest instructions")
-    for address, number in blocks.by_instruction(path).most_common(LINES):
-        image = blocks.image
-        where = (image.function_at(address), escape(instructions[address].text))
-        made.add_row(f"{address:08x}", *where, str(times[address]), str(number), image.line_at(address))
+    made = Table(*columns, title=f"step: the {ROWS} costliest instructions")
+    for address, cycles in spent.cycles.most_common(ROWS):
+        where = (blocks.image.function_at(address), escape(blocks.instruction_at(address).text))
+        line = blocks.image.line_at(address)
+        made.add_row(f"{address:08x}", *where, str(spent.times[address]), str(cycles), line)
+    return made
+
+
+def _lines(blocks: Blocks, spent: Spent) -> Table:
+    made = Table("line", "function", "instructions", "cycles", title=f"step: the {ROWS} costliest source lines")
+    image = blocks.image
+
+    def place(address: int) -> str:
+        return f"{image.line_at(address)} {image.function_at(address)}"
+
+    for name, times, cycles in spent.by(place)[:ROWS]:
+        made.add_row(*name.split(" "), str(times), str(cycles))
+    return made
+
+
+def _side_by_side(title: str, name: Callable[[int], str], step: Spent, tick: Spent) -> Table:
+    """Tell step and whole tick apart in one table."""
+    made = Table(title, "step instructions", "step cycles", "of step", "tick instructions", "tick cycles")
+    in_step = {key: (times, cycles) for key, times, cycles in step.by(name)}
+    whole = sum(step.cycles.values())
+    for key, times, cycles in sorted(tick.by(name), key=lambda row: (-in_step.get(row[0], (0, 0))[1], -row[2])):
+        step_times, step_cycles = in_step.get(key, (0, 0))
+        share = f"{100.0 * step_cycles / whole:.1f} %"
+        made.add_row(key, str(step_times), str(step_cycles), share, str(times), str(cycles))
+    made.add_section()
+    totals = (sum(step.times.values()), whole, "", sum(tick.times.values()), sum(tick.cycles.values()))
+    made.add_row("all", *(str(total) for total in totals))
     return made
 
 
 def profile(blocks: Blocks, paths: Counter[bytes]) -> Iterator[Table]:
-    """Yield the tables for the tick with the costliest step."""
+    """Yield tables of the costliest step, control step and trajectory evaluation with all they call, and its tick."""
     path = worst_path(blocks, paths)
-    yield _by_instruction(blocks, path)
-    yield _by_line(blocks, path)
-    yield _by_kind(blocks, path)
-    yield _by_function(blocks, path)
+    step, tick = spent_in(blocks, path, STEP), spent_in(blocks, path)
+
+    def kind(address: int) -> str:
+        return blocks.instruction_at(address).kind
+
+    yield _instructions(blocks, step)
+    yield _lines(blocks, step)
+    yield _side_by_side("kind of instruction", kind, step, tick)
+    yield _side_by_side("function, without what it calls", blocks.image.function_at, step, tick)
