@@ -13,12 +13,14 @@ import can
 import numpy as np
 
 from host_sim.codec import Codec
+from host_sim.drive import drive, start_state
 from host_sim.inproc import InprocBus
 from host_sim.link import Link
 from host_sim.planner import PathRequest, plan
 from host_sim.plant import Plant
 from host_sim.robot import Robot, load_robot
-from host_sim.run import Scenario, drive, prepare, start_state
+from host_sim.run import prepare
+from host_sim.scenario import Scenario
 from host_sim.trajectory import Trajectory
 
 NODE = 0

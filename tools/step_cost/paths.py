@@ -132,7 +132,7 @@ class Blocks:
     def instructions(self, address: int) -> list[Instruction]:
         """Return the instructions of a block."""
         if address not in self._decoded:
-            code = self.image.code(address, self._bytes[address])
+            code = self.image.data(address, self._bytes[address])
             self._decoded[address] = self._decoder.decode(code, address)
             self._by_address.update((instruction.address, instruction) for instruction in self._decoded[address])
         return self._decoded[address]
