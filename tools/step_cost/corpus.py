@@ -115,9 +115,9 @@ class Wire:
 def requests() -> dict[str, tuple[PathRequest, float]]:
     """Return what is driven in closed loop, and on what epsilon: mild slip, and so much that the bounds act."""
     return {
-        "rounded": (PathRequest("rhombus", 1.0, "rounded", 8.0, 0.4, 0.15), 0.01),
-        "sharp": (PathRequest("rhombus", 1.0, "sharp", 8.0, 0.3, 0.05), 0.1),
-        "lemniscate": (PathRequest("lemniscate", 1.5, corner_accel_m_per_s2=8.0, duration_s=0.8), 0.03),
+        "rounded": (PathRequest("rhombus", 1.0, "rounded", 12.0, 0.25, 0.1), 0.01),
+        "sharp": (PathRequest("rhombus", 1.0, "sharp", 12.0, 0.2, 0.03), 0.1),
+        "lemniscate": (PathRequest("lemniscate", 1.5, corner_accel_m_per_s2=12.0, duration_s=0.5), 0.03),
     }
 
 

@@ -30,6 +30,10 @@ class Layout:
     def __getitem__(self, leaf: str) -> Leaf:
         return self._by_name[leaf]
 
+    def offset_of(self, member: str) -> int:
+        """Return where a struct inside begins."""
+        return min(leaf.offset for leaf in self.leaves if leaf.name.startswith(f"{member}."))
+
     def numbers(self, memory: bytes) -> dict[str, int]:
         """Return the bits of every number in a struct's bytes."""
         return {

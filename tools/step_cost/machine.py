@@ -44,13 +44,13 @@ class Machine:
     def __init__(self, image: Path, traced: bool = True) -> None:
         self.path = array("I")
         self.block_bytes: dict[int, int] = {}
-        self._uc = unicorn.Uc(unicorn.UC_ARCH_ARM, unicorn.UC_MODE_THUMB | unicorn.UC_MODE_MCLASS)
-        self._uc.ctl_set_cpu_model(arm.UC_CPU_ARM_CORTEX_M4)
+        self.emulator = unicorn.Uc(unicorn.UC_ARCH_ARM, unicorn.UC_MODE_THUMB | unicorn.UC_MODE_MCLASS)
+        self.emulator.ctl_set_cpu_model(arm.UC_CPU_ARM_CORTEX_M4)
         self._load(image)
-        self._uc.mem_map(RAM_BASE, RAM_BYTES)
-        self._uc.mem_map(RETURN_PAGE, PAGE)
+        self.emulator.mem_map(RAM_BASE, RAM_BYTES)
+        self.emulator.mem_map(RETURN_PAGE, PAGE)
         if traced:
-            self._uc.hook_add(unicorn.UC_HOOK_BLOCK, self._note_block)
+            self.emulator.hook_add(unicorn.UC_HOOK_BLOCK, self._note_block)
 
     def _load(self, image: Path) -> None:
         with image.open("rb") as file:
@@ -59,8 +59,8 @@ class Machine:
             for segment in segments:
                 begin = segment["p_paddr"] & ~(PAGE - 1)
                 end = (segment["p_paddr"] + segment["p_memsz"] + PAGE - 1) & ~(PAGE - 1)
-                self._uc.mem_map(begin, end - begin, unicorn.UC_PROT_READ | unicorn.UC_PROT_EXEC)
-                self._uc.mem_write(segment["p_paddr"], segment.data())
+                self.emulator.mem_map(begin, end - begin, unicorn.UC_PROT_READ | unicorn.UC_PROT_EXEC)
+                self.emulator.mem_write(segment["p_paddr"], segment.data())
 
     def _note_block(self, _uc: unicorn.Uc, address: int, size: int, _data: object) -> None:
         self.path.append(address)
@@ -69,7 +69,7 @@ class Machine:
 
     def call(self, function: int, *arguments: int) -> int:
         """Call a function of the image by its address and return r0."""
-        uc = self._uc
+        uc = self.emulator
         for register, value in zip(CORE_ARGUMENTS, arguments, strict=False):
             uc.reg_write(register, value)
         uc.reg_write(arm.UC_ARM_REG_SP, STACK_TOP)
@@ -81,13 +81,23 @@ class Machine:
             raise MachineError(f"the emulated processor stopped at {pc:#010x}: {error}") from error
         return int(uc.reg_read(arm.UC_ARM_REG_R0))
 
+    def call_with_float(self, function: int, bits: int) -> None:
+        """Call a function that takes one float, given by its bits."""
+        self.emulator.reg_write(arm.UC_ARM_REG_S0, bits)
+        self.call(function)
+
+    def float_results(self, count: int) -> list[int]:
+        """Return the bits of the floats that a function gave back."""
+        registers = (arm.UC_ARM_REG_S0, arm.UC_ARM_REG_S1, arm.UC_ARM_REG_S2, arm.UC_ARM_REG_S3)
+        return [int(self.emulator.reg_read(register)) for register in registers[:count]]
+
     def read(self, address: int, size: int) -> bytes:
         """Return bytes of memory."""
-        return bytes(self._uc.mem_read(address, size))
+        return bytes(self.emulator.mem_read(address, size))
 
     def write(self, address: int, data: bytes) -> None:
         """Change memory."""
-        self._uc.mem_write(address, data)
+        self.emulator.mem_write(address, data)
 
     def paint_stack(self) -> None:
         """Fill the stack, all of it unused between calls, with a pattern."""
