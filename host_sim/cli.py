@@ -4,6 +4,7 @@ import itertools
 import json
 import math
 import shlex
+import subprocess
 import sys
 from datetime import datetime
 from pathlib import Path
@@ -30,6 +31,8 @@ from host_sim.trace import Trace, compare, write_atomically
 class RunFailedError(OmnibotError):
     """A run that did not complete; its result was printed already."""
 
+
+COST_TOOL = ROOT / "tools" / "step_cost"
 
 app = typer.Typer(no_args_is_help=True, add_completion=True, pretty_exceptions_enable=False)
 
@@ -220,6 +223,13 @@ def sweep(
     print(json.dumps(rows, indent=2) if as_json else table(rows))  # noqa: T201
     lost = sum(row["status"] != "completed" for row in rows)
     print(f"{len(rows)} runs, {lost} not completed; table: {folder / 'sweep.md'}", file=sys.stderr)  # noqa: T201
+
+
+@app.command(add_help_option=False, context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
+def cost(context: typer.Context) -> None:
+    """Tell what a step costs on the target: instructions, cycles, stack, flash and RAM (omnibot cost --help)."""
+    # The meter knows the firmware's symbols, this package does not: it is a tool of the source tree.
+    raise typer.Exit(subprocess.run([sys.executable, COST_TOOL, *context.args], check=False).returncode)
 
 
 def main() -> None:

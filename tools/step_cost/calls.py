@@ -4,6 +4,7 @@ import re
 from dataclasses import dataclass, field
 
 from step_cost.cycles import Decoder, Instruction, UnknownInstructionError
+from step_cost.errors import CostError
 from step_cost.image import Image
 
 # Functions that call through a pointer, and the constant table that holds every function it can point to.
@@ -13,7 +14,7 @@ TARGET = re.compile(r"#(0x[0-9a-f]+)$")
 STACK_REGISTERS = re.compile(r"\{(.*)\}")
 
 
-class UnknownCallError(Exception):
+class UnknownCallError(CostError):
     """A call whose target is not known."""
 
 

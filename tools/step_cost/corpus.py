@@ -30,7 +30,13 @@ OUTPUTS = ("posture", "point")
 TRACTIONS = ("linear", "magic")
 
 # Kinds of groups. Only `TICK` is a tick as it should be: driving, with fresh sensors.
-SETUP, TICK, IDLE_TICK, AFTER_GAP, FAULT = "setup", "tick", "idle tick", "tick after missed ones", "tick with a fault"
+SETUP, TICK, IDLE_TICK, AFTER_GAP, FAULT = (
+    "setup",
+    "tick",
+    "tick without a step",
+    "tick after missed ones",
+    "tick with a fault",
+)
 
 RANDOM_TICKS = 60
 RANDOM_SETTINGS = (
@@ -183,7 +189,7 @@ def random_states(script: Script, rng: np.random.Generator) -> None:
     script.tick(TICK, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))  # V = 0: no derivative
 
 
-def what_goes_wrong(script: Script) -> None:
+def what_goes_wrong(script: Script, robot: Robot) -> None:
     """Missing, late and unusable sensors, missed ticks, damaged frames, commands out of place."""
     nan, good = float("nan"), (0.1, 0.1, 0.1)
     script.tick(TICK)
@@ -194,16 +200,18 @@ def what_goes_wrong(script: Script) -> None:
     script.tick(FAULT, wheel_speed=(nan, 0.0, 0.0))
     script.restart()
     script.tick(TICK, wheel_speed=good)
-    for _ in range(5):
+    for _ in range(round(robot.parameter("wheel_speed_timeout_s").default / robot.control_period_s)):
         script.tick(TICK, wheel_speed=None)
     script.tick(FAULT, wheel_speed=None)  # stale
     script.restart()
     script.tick(FAULT, pose=None)  # never had one
     script.restart()
+    most = round(robot.parameter("tick_gap_max").default)
+    for missed in (1, most // 2, most):
+        script.tick(TICK, wheel_speed=good)
+        script.tick(AFTER_GAP, wheel_speed=good, ticks=missed + 1)
     script.tick(TICK, wheel_speed=good)
-    for ticks in (2, 5, 11):
-        script.tick(AFTER_GAP, wheel_speed=good, ticks=ticks)
-    script.tick(FAULT, wheel_speed=good, ticks=12)
+    script.tick(FAULT, wheel_speed=good, ticks=most + 2)
     script.restart()
     script.tick(TICK, wheel_speed=good)
     script.tick(IDLE_TICK, wheel_speed=good, ticks=0)  # asked again
@@ -237,5 +245,5 @@ def sessions(orders: Sequence[str] = ORDERS) -> Iterator[Session]:
             yield session
         session = Session(f"faults, {label}", order, output)
         scenario = Scenario(request, 0.01, order, output, traction)  # type: ignore[arg-type]
-        what_goes_wrong(Script(wire, session, scenario, trajectory, robot))
+        what_goes_wrong(Script(wire, session, scenario, trajectory, robot), robot)
         yield session

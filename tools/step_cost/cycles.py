@@ -25,6 +25,8 @@ from typing import NamedTuple
 import capstone
 from capstone import arm as ca
 
+from step_cost.errors import CostError
+
 
 @dataclass(frozen=True)
 class Model:
@@ -66,7 +68,7 @@ INTEGER = _names_of(
 )
 
 
-class UnknownInstructionError(Exception):
+class UnknownInstructionError(CostError):
     """An instruction that the model has no figure for."""
 
 

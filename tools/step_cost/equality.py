@@ -21,6 +21,7 @@ from unicorn import arm_const as arm
 from host_sim.inproc import Frame, load_firmware
 from step_cost.calls import calls_of
 from step_cost.corpus import NODE, FrameIn, Session
+from step_cost.errors import CostError
 from step_cost.image import Image
 from step_cost.layout import Layout, layouts
 from step_cost.machine import INSTANCE
@@ -31,7 +32,7 @@ ANGLE_MAX_rad = 100.0
 PATIENCE = 5  # differences listed
 
 
-class DifferenceError(Exception):
+class DifferenceError(CostError):
     """Target and host are not the same."""
 
 

@@ -9,11 +9,13 @@ from typing import Any
 
 from elftools.elf.elffile import ELFFile
 
+from step_cost.errors import CostError
+
 WRITABLE, ALLOCATED, EXECUTABLE = 0x1, 0x2, 0x4
 NO_SOURCE = "C library"
 
 
-class ImageError(Exception):
+class ImageError(CostError):
     """An ELF file that does not hold what it should."""
 
 
@@ -109,6 +111,14 @@ class Image:
         """Return 'file:line' of an instruction."""
         index = bisect_right(self._line_starts, address) - 1
         return self.lines[self._line_starts[index]] if index >= 0 else "?"
+
+    @cached_property
+    def compiler(self) -> str:
+        """Name and version of the compiler that made most of it."""
+        with self.file.open("rb") as opened:
+            tops = [unit.get_top_DIE().attributes for unit in ELFFile(opened).get_dwarf_info().iter_CUs()]
+        producers = (top["DW_AT_producer"].value.decode() for top in tops if "DW_AT_producer" in top)
+        return Counter(producer.partition(" -")[0] for producer in producers).most_common(1)[0][0]
 
     @cached_property
     def modules(self) -> dict[str, Counter[str]]:

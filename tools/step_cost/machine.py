@@ -12,6 +12,8 @@ import unicorn
 from elftools.elf.elffile import ELFFile
 from unicorn import arm_const as arm
 
+from step_cost.errors import CostError
+
 PAGE = 0x1000
 RAM_BASE, RAM_BYTES = 0x2000_0000, 0x2_0000
 INSTANCE = RAM_BASE
@@ -26,7 +28,7 @@ FRAME_BYTES = 11  # frame_t without its last byte of padding: id, length, data
 CORE_ARGUMENTS = (arm.UC_ARM_REG_R0, arm.UC_ARM_REG_R1, arm.UC_ARM_REG_R2, arm.UC_ARM_REG_R3)
 
 
-class MachineError(Exception):
+class MachineError(CostError):
     """The emulated processor could not go on."""
 
 

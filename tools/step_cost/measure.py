@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from step_cost.corpus import SETUP, TICK, FrameIn, Session
+from step_cost.corpus import NODE, SETUP, TICK, FrameIn, Session
 from step_cost.image import Image
 from step_cost.machine import FRAME, FRAME_BYTES, INSTANCE, Machine
 from step_cost.paths import CALL_FROM_OUTSIDE, NOTHING, Blocks, Cost, PathCost
@@ -95,6 +95,7 @@ class Measurement:
     ticks: dict[tuple[Class, str], Figures] = field(default_factory=lambda: defaultdict(Figures))
     functions: dict[str, Figures] = field(default_factory=lambda: defaultdict(Figures))
     paths: dict[tuple[Class, str], Counter[bytes]] = field(default_factory=lambda: defaultdict(Counter))
+    painted_stack_bytes: int = 0  # the deepest that any group of frames went
 
 
 def step_cost(path: PathCost) -> Cost | None:
@@ -103,17 +104,21 @@ def step_cost(path: PathCost) -> Cost | None:
     return None if NOTHING in costs else costs[0].plus(costs[1])
 
 
-def run_session(target: Target, session: Session, paths: dict[tuple[Class, str], Counter[bytes]]) -> None:
-    """Put one session through the emulated firmware and count the paths of its groups."""
-    target.start(0)
+def run_session(target: Target, session: Session, measurement: Measurement) -> None:
+    """Put one session through the emulated firmware, count the paths of its groups and see how deep the stack went."""
+    target.start(NODE)
+    target.machine.paint_stack()
     key = Class(session.order, session.output)
     for group in session.groups:
         target.exchange(group.frames)
-        paths[key, group.kind][target.path()] += 1
+        measurement.paths[key, group.kind][target.path()] += 1
+    measurement.painted_stack_bytes = max(measurement.painted_stack_bytes, target.machine.stack_used_bytes())
 
 
-def evaluate(target: Target, measurement: Measurement) -> Measurement:
+def evaluate(target: Target, measurement: Measurement) -> None:
     """Work out what the paths cost."""
+    for function in STEP:
+        target.image.function(function)  # inlined, it could not be told from its caller
     for (key, kind), paths in measurement.paths.items():
         for path, times in paths.items():
             cost = target.blocks.cost(path)
@@ -124,4 +129,3 @@ def evaluate(target: Target, measurement: Measurement) -> Measurement:
                 measurement.steps[key].add(step, times)
             for activation in cost.activations:
                 measurement.functions[activation.function].add(activation.cost, times)
-    return measurement

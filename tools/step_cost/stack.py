@@ -5,12 +5,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from step_cost.calls import Function, calls_of
+from step_cost.errors import CostError
 from step_cost.image import Image, ImageError
 
 LINE = re.compile(r"[^\t]*:(?P<function>[^:\t]+)\t(?P<bytes>\d+)\t(?P<kind>\S+)$")
 
 
-class StackError(Exception):
+class StackError(CostError):
     """A stack whose depth has no bound that is known."""
 
 
