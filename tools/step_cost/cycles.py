@@ -1,16 +1,20 @@
 """What an instruction costs on the Cortex-M4 with its FPU: a model, and so an estimate.
 
-Sources: ARM DDI 0439 (Cortex-M4 Technical Reference Manual), table 3-1 'Processor instruction set summary', section
-3.3.3 'Load/store timings', table 7-1 'FPU instruction set' and the notes below it; all for memory without wait states.
-Where the manual gives a range or a 'when possible', three models say what is made of it: `LOW` takes every chance,
-`HIGH` none, and `CENTRAL`, the one that budgets hold, lies between.
+Source: the Cortex-M4 Technical Reference Manual (ARM DDI 0439, newer ARM 100166): table 3-1 'Processor instruction set
+summary', the section 'Load/store timings' behind it, table 7-1 'FPU instruction set' and its notes; all for memory
+without wait states. Where the manual gives a range or a 'when possible', three models say what is made of it: `LOW`
+takes every chance, `HIGH` none, and `CENTRAL`, the one that budgets hold, lies between. GCC's description of the
+pipeline (cortex-m4.md, cortex-m4-fpu.md) reads the manual as `CENTRAL` does, but for FPU stores and divisions, where it
+is `LOW`.
 
-- A taken branch refills the pipeline in P = 1 … 3 cycles (table 3-1): 1, 2 and 3 in the three models.
-- A load right behind a load is pipelined, one cycle instead of two, unless its address waits for the first
-  (3.3.3). `HIGH` leaves that out for the FPU's loads, which the section does not name.
-- A store to [register, #immediate] takes one cycle, others two (3.3.3). The FPU's take two by table 7-1: `HIGH`
-  counts so, `CENTRAL` pipelines them behind a load or store, `LOW` takes them for stores like any other.
-- An address that waits for the data-processing instruction right before costs one more cycle (3.3.3).
+- A taken branch refills the pipeline in P = 1 … 3 cycles (3-1): 1, 2 and 3 in the three models.
+- A load right behind a load is pipelined, one cycle instead of two, unless its address waits for the first. `HIGH`
+  leaves that out for the FPU's loads, which the section does not name.
+- A load from beside the code 'might add a cycle': in `HIGH` it does.
+- A store to [register, #immediate] takes one cycle, others two. The FPU's take two by table 7-1: `HIGH` counts so,
+  `CENTRAL` pipelines them behind a load or store, `LOW` takes them for stores like any other.
+- An address that waits for the data-processing instruction right before costs one more cycle.
+- TBB and TBH: two for the load, one for the addition, and the refill.
 - The result of an FPU arithmetic instruction costs one more cycle when the next instruction uses it; the addend of a
   multiply-accumulate is read a cycle later, and so costs none (7-1).
 - VDIV and VSQRT take 14. Integer instructions behind them may run meanwhile: only `LOW` counts on that.
@@ -39,12 +43,13 @@ class Model:
     fpu_store_behind_access: int
     divide: int
     it: int
+    literal_wait: int
     integer_beside_fpu_divide: bool
 
 
-LOW = Model("low", 1, True, 1, 1, 2, 0, True)
-CENTRAL = Model("central", 2, True, 2, 1, 12, 1, False)
-HIGH = Model("high", 3, False, 2, 2, 12, 1, False)
+LOW = Model("low", 1, True, 1, 1, 2, 0, 0, True)
+CENTRAL = Model("central", 2, True, 2, 1, 12, 1, 0, False)
+HIGH = Model("high", 3, False, 2, 2, 12, 1, 1, False)
 MODELS = (LOW, CENTRAL, HIGH)
 
 
@@ -223,7 +228,8 @@ def _load(model: Model, instruction: Instruction, before: Instruction | None) ->
         return 3
     pipelines = instruction.name != "vldr" or model.fpu_loads_pipelined
     follows = before is not None and before.kind == "load" and not before.writes & instruction.address_reads
-    return 1 if pipelines and follows else 2
+    literal = model.literal_wait if "pc" in instruction.address_reads else 0
+    return (1 if pipelines and follows else 2) + literal
 
 
 def _store(model: Model, instruction: Instruction, before: Instruction | None) -> int:
@@ -259,7 +265,9 @@ def _issue(model: Model, instruction: Instruction, before: Instruction | None) -
         return _fpu_move(instruction)
     if name in DIVIDES:
         return model.divide
-    if name in ("tbb", "tbh") or (instruction.branches and name == "ldr"):
+    if name in ("tbb", "tbh"):
+        return 3
+    if instruction.branches and name == "ldr":
         return 2
     return model.it if name == "it" else 1
 
