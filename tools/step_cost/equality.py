@@ -257,37 +257,37 @@ class Equality:
 
     def __init__(self, image: Image, host: Path) -> None:
         self.compared = Compared()
-        self._target, self._library = Target(image), host / "libomnibot.so"
-        self._captures = Captures(self._target)
+        self.target, self._library = Target(image), host / "libomnibot.so"
+        self.captures = Captures(self.target)
         self._control = HostControl(host / "libcontrol-visible.so", image)
         self._app = Translation(layouts(image.file)["app_t"], layouts(self._library)["app_t"])
 
     def session(self, session: Session) -> None:
         """Compare one session."""
         host = Host(self._library)
-        self._target.start(NODE)
+        self.target.start(NODE)
         for number, group in enumerate(session.groups):
             where = f"{session.name}, group {number} ({group.kind})"
-            self._captures.steps.clear()
-            ours, theirs = self._target.exchange(group.frames), host.exchange(group.frames)
+            self.captures.steps.clear()
+            ours, theirs = self.target.exchange(group.frames), host.exchange(group.frames)
             if ours != theirs:
                 raise DifferenceError(f"{where}: the target answers {_shown(ours)}, the host {_shown(theirs)}")
-            memory = self._target.machine.read(INSTANCE, self._app.sizes[0])
+            memory = self.target.machine.read(INSTANCE, self._app.sizes[0])
             _refuse(f"{where}: app_t", self._app.differences(memory, host.memory()))
-            for step in self._captures.steps:
+            for step in self.captures.steps:
                 _refuse(f"{where}: control_step", self._control.step(step))
             self.compared.frames += len(ours)
             self.compared.groups += 1
-            self.compared.control_steps += len(self._captures.steps)
+            self.compared.control_steps += len(self.captures.steps)
 
     def trigonometry(self, angles: int, rng: np.random.Generator) -> None:
         """Compare rotation_of and angle_wrap at random angles."""
-        machine, image = self._target.machine, self._target.image
+        machine, image = self.target.machine, self.target.image
         rotation, wrap = image.function("rotation_of"), image.function("angle_wrap")
         for bits in angle_bits(angles, rng):
-            machine.call_with_float(rotation, bits)
+            machine.call_with_floats(rotation, (bits,))
             ours = (*machine.float_results(2),)
-            machine.call_with_float(wrap, bits)
+            machine.call_with_floats(wrap, (bits,))
             ours = (*ours, *machine.float_results(1))
             theirs = (*self._control.rotation(bits), self._control.wrapped(bits))
             if ours != theirs:

@@ -13,6 +13,7 @@ from step_cost.errors import CostError
 
 WRITABLE, ALLOCATED, EXECUTABLE = 0x1, 0x2, 0x4
 NO_SOURCE = "C library"
+STACK_SECTION = ".stack"
 
 
 class ImageError(CostError):
@@ -30,6 +31,8 @@ class Image:
 
     def __init__(self, file: Path) -> None:
         self.file = file
+        if not file.exists():
+            raise ImageError(f"no {file}: tools/setup test brings its compiler, tools/build target makes it")
         with file.open("rb") as opened:
             elf = ELFFile(opened)
             table = elf.get_section_by_name(".symtab")
@@ -44,7 +47,9 @@ class Image:
             sections = [section for section in elf.iter_sections() if section["sh_flags"] & ALLOCATED]
             self._contents = [(s["sh_addr"], s.data()) for s in sections if s["sh_type"] == "SHT_PROGBITS"]
             self.flash_bytes = sum(s["p_filesz"] for s in elf.iter_segments() if s["p_type"] == "PT_LOAD")
-            self.ram_bytes = sum(section["sh_size"] for section in sections if section["sh_flags"] & WRITABLE)
+            writable = [section for section in sections if section["sh_flags"] & WRITABLE]
+            # What a linker script keeps free for the stack says nothing of how much is needed.
+            self.variables_bytes = sum(section["sh_size"] for section in writable if section.name != STACK_SECTION)
         functions = _unique([s for s in symbols if s["st_info"]["type"] == "STT_FUNC"])
         objects = _unique([s for s in symbols if s["st_info"]["type"] == "STT_OBJECT"])
         self.functions = {name: symbol["st_value"] & ~1 for name, symbol in functions.items()}
@@ -118,7 +123,7 @@ class Image:
         with self.file.open("rb") as opened:
             tops = [unit.get_top_DIE().attributes for unit in ELFFile(opened).get_dwarf_info().iter_CUs()]
         producers = (top["DW_AT_producer"].value.decode() for top in tops if "DW_AT_producer" in top)
-        return Counter(producer.partition(" -")[0] for producer in producers).most_common(1)[0][0]
+        return str(Counter(producer.partition(" -")[0] for producer in producers).most_common(1)[0][0])
 
     @cached_property
     def modules(self) -> dict[str, Counter[str]]:

@@ -6,6 +6,7 @@ first and its last, those that an IT skips included: the hardware spends a cycle
 """
 
 from array import array
+from collections.abc import Sequence
 from pathlib import Path
 
 import unicorn
@@ -23,8 +24,10 @@ STACK_TOP = RAM_BASE + RAM_BYTES
 STACK_BYTES = 0x2000
 RETURN_PAGE = 0x1000_0000  # where a call comes back to: never executed
 PAINT = 0xA5
+CALL_FROM_OUTSIDE = 0  # in a path
 FRAME_BYTES = 11  # frame_t without its last byte of padding: id, length, data
 
+FLOAT_REGISTERS = (arm.UC_ARM_REG_S0, arm.UC_ARM_REG_S1, arm.UC_ARM_REG_S2, arm.UC_ARM_REG_S3)
 CORE_ARGUMENTS = (arm.UC_ARM_REG_R0, arm.UC_ARM_REG_R1, arm.UC_ARM_REG_R2, arm.UC_ARM_REG_R3)
 
 
@@ -83,15 +86,19 @@ class Machine:
             raise MachineError(f"the emulated processor stopped at {pc:#010x}: {error}") from error
         return int(uc.reg_read(arm.UC_ARM_REG_R0))
 
-    def call_with_float(self, function: int, bits: int) -> None:
-        """Call a function that takes one float, given by its bits."""
-        self.emulator.reg_write(arm.UC_ARM_REG_S0, bits)
-        self.call(function)
+    def begin_call(self) -> None:
+        """Mark in the path that a call from outside follows."""
+        self.path.append(CALL_FROM_OUTSIDE)
+
+    def call_with_floats(self, function: int, bits: Sequence[int], *arguments: int) -> None:
+        """Call a function that takes floats, given by their bits, besides other arguments."""
+        for register, value in zip(FLOAT_REGISTERS, bits, strict=False):
+            self.emulator.reg_write(register, value)
+        self.call(function, *arguments)
 
     def float_results(self, count: int) -> list[int]:
         """Return the bits of the floats that a function gave back."""
-        registers = (arm.UC_ARM_REG_S0, arm.UC_ARM_REG_S1, arm.UC_ARM_REG_S2, arm.UC_ARM_REG_S3)
-        return [int(self.emulator.reg_read(register)) for register in registers[:count]]
+        return [int(self.emulator.reg_read(register)) for register in FLOAT_REGISTERS[:count]]
 
     def read(self, address: int, size: int) -> bytes:
         """Return bytes of memory."""

@@ -1,7 +1,7 @@
 """The corpus through the emulated firmware: what every step, message and tick of it cost."""
 
 from collections import Counter, defaultdict
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -10,7 +10,7 @@ import numpy as np
 from step_cost.corpus import NODE, SETUP, TICK, FrameIn, Session
 from step_cost.image import Image
 from step_cost.machine import FRAME, FRAME_BYTES, INSTANCE, Machine
-from step_cost.paths import CALL_FROM_OUTSIDE, NOTHING, Blocks, Cost, PathCost
+from step_cost.paths import NOTHING, Blocks, Cost, PathCost
 
 STEP = ("trajectory_reference", "control_step")
 
@@ -28,17 +28,22 @@ class Target:
         """Make the firmware new."""
         self.machine.call(self.image.functions["omnibot_init"], INSTANCE, node)
 
-    def exchange(self, frames: Iterable[FrameIn]) -> list[FrameIn]:
-        """Give frames to the firmware, take its answers out until there are none, and return them."""
+    def exchange(self, frames: Iterable[FrameIn], then: Callable[[], None] | None = None) -> list[FrameIn]:
+        """Give frames to the firmware, take its answers out until there are none, and return them.
+
+        ``then`` is what is called between the two.
+        """
         machine = self.machine
         del machine.path[:]
         for identifier, data in frames:
             machine.write(FRAME, identifier.to_bytes(2, "little") + bytes((len(data),)) + data.ljust(8, b"\0"))
-            machine.path.append(CALL_FROM_OUTSIDE)
+            machine.begin_call()
             machine.call(self._receive, INSTANCE, FRAME)
+        if then is not None:
+            then()
         answers: list[FrameIn] = []
         while True:
-            machine.path.append(CALL_FROM_OUTSIDE)
+            machine.begin_call()
             if not machine.call(self._transmit, INSTANCE, FRAME) & 0xFF:
                 return answers
             raw = machine.read(FRAME, FRAME_BYTES)

@@ -8,7 +8,7 @@ from step_cost.corpus import NODE, SEED
 from step_cost.layout import Layout, layouts
 from step_cost.machine import FRAME, FRAME_BYTES, SCRATCH
 from step_cost.measure import Figures, Target
-from step_cost.paths import CALL_FROM_OUTSIDE, Cost
+from step_cost.paths import Cost
 
 VALUES = 60  # structs a message
 LENGTH_BYTE, FIRST_DATA_BYTE = 2, 3
@@ -58,6 +58,6 @@ class Messages:
     def _cost(self, function: int, *arguments: int) -> Cost:
         machine = self._target.machine
         del machine.path[:]
-        machine.path.append(CALL_FROM_OUTSIDE)
+        machine.begin_call()
         machine.call(function, *arguments)
         return self._target.blocks.cost(self._target.path()).total

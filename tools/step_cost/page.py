@@ -36,7 +36,7 @@ def _bars(result: dict[str, Any], limits: dict[str, int]) -> Figure:
                 axes.plot([limits[name]] * 2, [place - 0.45, place + 0.45], color="black", linewidth=2.0)
         axes.set_yticks(range(len(steps)), list(steps))
         axes.invert_yaxis()
-        axes.set_title("Worst case over the corpus: estimated cycles and their range; black: the limit")
+        axes.set_title("Worst case: estimated cycles, their range; black: limit")
         return figure
 
 

@@ -11,8 +11,7 @@ from typing import NamedTuple
 
 from step_cost.cycles import CENTRAL, MODELS, Decoder, Instruction, Model, block_cycles
 from step_cost.image import Image
-
-CALL_FROM_OUTSIDE = 0
+from step_cost.machine import CALL_FROM_OUTSIDE
 
 
 class Cost(NamedTuple):

@@ -4,6 +4,7 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
+from step_cost import motors
 from step_cost.corpus import ORDERS, TICK
 from step_cost.errors import CostError
 from step_cost.image import Image
@@ -69,7 +70,7 @@ def _ticks_by_order(measurement: Measurement) -> dict[str, Any]:
 
 
 def other_ticks(measurement: Measurement) -> dict[str, Any]:
-    """Return ticks that are not as they should be, by what is wrong."""
+    """Return what is no ordinary tick, by its kind."""
     found: dict[str, Figures] = {}
     for (_, kind), figures in measurement.ticks.items():
         if kind != TICK:
@@ -102,7 +103,7 @@ def memory(image: Image, board: Image | None, stack_bytes: int) -> dict[str, Any
     sizes = layouts(image.file)
     store_bytes, app_bytes = sizes["store_t"].size, sizes["app_t"].size
     measured = image if board is None else board
-    variables_bytes = app_bytes if board is None else board.ram_bytes
+    variables_bytes = app_bytes if board is None else board.variables_bytes
     return {
         "flash_bytes": measured.flash_bytes,
         "ram_bytes": variables_bytes - store_bytes + stack_bytes,
@@ -146,7 +147,7 @@ def collect(target: Target, measurement: Measurement, build: Path, board: Image 
         "period_us": PERIOD_us,
         "compiler": target.image.compiler,
         "steps": steps(measurement),
-        "other_ticks": other_ticks(measurement),
+        "other_ticks": other_ticks(measurement) | {motors.KIND: summary(motors.MotorTicks(target).measure())},
         "messages": {
             name: {verb: summary(figures) for verb, figures in both.items()}
             for name, both in Messages(target).measure().items()
