@@ -49,6 +49,9 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--budgets", type=Path, default=BUDGETS, help="default: tests/bench/budgets.toml")
     parser.add_argument("--json", action="store_true", help="print the result as JSON instead of tables")
     parser.add_argument("--out", type=Path, metavar="DIR", help="write cost.json and report.html there")
+    parser.add_argument(
+        "--use", type=Path, metavar="FILE", help="figures of an earlier run, its cost.json; measure nothing"
+    )
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--check", action="store_true", help="fail when a figure is above its budget")
     what.add_argument("--update", action="store_true", help="make today's figures the budgets")
@@ -56,13 +59,6 @@ def arguments() -> argparse.Namespace:
     what.add_argument("--equality", action="store_true", help="compare target and host bit for bit instead")
     parser.add_argument("--output", choices=OUTPUTS, default=OUTPUTS[0], help="of --profile: posture or point")
     return parser.parse_args()
-
-
-def image_in(build: Path) -> Image:
-    """Return the measuring image of a target build."""
-    if not (build / MEASURED).exists():
-        raise CostError(f"no {build / MEASURED}: tools/setup test brings its compiler, tools/build target makes it")
-    return Image(build / MEASURED)
 
 
 def measured(image: Image, orders: tuple[str, ...] = ORDERS) -> tuple[Target, Measurement]:
@@ -105,23 +101,30 @@ def show_tables(result: dict[str, Any]) -> None:
     console.print(f"Counted: {result['counted']}.\nEstimated: {result['estimated']}.\nBuilt by {result['compiler']}.")
 
 
-def run(options: argparse.Namespace) -> None:
-    """Measure, and tell."""
-    image = image_in(options.build)
-    if options.profile is not None:
-        show_profile(image, options.profile, options.output)
-        return
-    if options.equality:
-        show_equality(image, options.host)
-        return
-    board = options.build / BOARD
-    result = collect(*measured(image), options.build, Image(board) if board.exists() else None)
+def whole_result(build: Path) -> dict[str, Any]:
+    """Measure all there is."""
+    board = build / BOARD
+    return collect(*measured(Image(build / MEASURED)), build, Image(board) if board.exists() else None)
+
+
+def earlier_result(file: Path) -> dict[str, Any]:
+    """Return the figures of an earlier run."""
+    try:
+        return dict(json.loads(file.read_text(encoding="utf-8")))
+    except (OSError, ValueError) as error:
+        raise CostError(
+            f"cannot read the figures {file}: {error}; omnibot cost --out DIR writes DIR/cost.json"
+        ) from error
+
+
+def tell(result: dict[str, Any], options: argparse.Namespace) -> None:
+    """Print and write the result, and hold it to the budgets."""
     if options.out is not None:
         limits = budgets.cycle_limits(options.budgets)
         print(f"page: {page.write(options.out, result, limits)}", file=sys.stderr)
     if options.json:
         print(json.dumps(result, indent=2))
-    elif not options.check:
+    elif not (options.check or options.update):
         show_tables(result)
     if options.update:
         budgets.update(result, options.budgets)
@@ -134,7 +137,12 @@ def main() -> int:
     """Run the command line; an error that the user can cure is one message and exit code 1."""
     options = arguments()
     try:
-        run(options)
+        if options.profile is not None:
+            show_profile(Image(options.build / MEASURED), options.profile, options.output)
+        elif options.equality:
+            show_equality(Image(options.build / MEASURED), options.host)
+        else:
+            tell(whole_result(options.build) if options.use is None else earlier_result(options.use), options)
     except (OmnibotError, OSError) as error:
         print(f"omnibot cost: {error}", file=sys.stderr)
         if options.json and not isinstance(error, budgets.BudgetError):

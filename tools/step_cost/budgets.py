@@ -99,7 +99,7 @@ def _line(name: str, figure: str, value: float, limit: float, what: str) -> str:
 
 
 def _lenience(result: Result, allowed: Result) -> float:
-    same = result["compiler"] == allowed.get("budget_compiler")
+    same = result["compiler"] == allowed["made_by"]["compiler"]
     return float(allowed["lenience"]["same_compiler" if same else "other_compiler"])
 
 
@@ -128,7 +128,7 @@ def update(result: Result, file: Path) -> None:
 
 
 def _written(result: Result) -> Iterator[str]:
-    yield f'budget_compiler = "{result["compiler"]}"'
+    yield f'[made_by]\ncompiler = "{result["compiler"]}"'
     for name, numbers in figures(result).items():
         yield f"\n[budget.{name}]"
         yield from (f"{figure} = {value}" for figure, value in numbers.items() if figure != "worst_over_median")
