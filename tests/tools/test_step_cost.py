@@ -123,17 +123,22 @@ def test_check_fails_on_a_dearer_firmware_and_names_what_grew(
     assert f"grew: control_step 0 → {own} (+{own})" in done.stderr
 
 
+def totals(profile: subprocess.CompletedProcess[str]) -> list[list[str]]:
+    """Cells of the rows that add up the tables by kind and by function."""
+    assert profile.returncode == 0, profile.stderr
+    return [[c.strip() for c in line.split("│")] for line in profile.stdout.splitlines() if line.startswith("│ all")]
+
+
 def test_profile_adds_up_to_the_worst_step(result: dict[str, Any]) -> None:
-    done = cost("--profile", "0")
-    assert done.returncode == 0, done.stderr
-    totals = [line for line in done.stdout.splitlines() if line.startswith("│ all")]
     figures = result["steps"]["order0"]
-    assert len(totals) == 2
-    for line in totals:
-        assert [cell.strip() for cell in line.split("│")[2:4]] == [
-            str(figures["instructions_max"]),
-            str(figures["cycles_max"]),
-        ]
+    by_kind, by_function = totals(cost("--profile", "0"))
+    assert by_kind[2:4] == by_function[2:4] == [str(figures["instructions_max"]), str(figures["cycles_max"])]
+
+
+def test_profile_of_the_tick_adds_up_to_the_worst_tick(result: dict[str, Any]) -> None:
+    figures = result["steps"]["tick"]["by_order"]["order0"]
+    by_kind, by_function = totals(cost("--profile", "0", "--tick"))
+    assert by_kind[5:7] == by_function[5:7] == [str(figures["instructions_max"]), str(figures["cycles_max"])]
 
 
 def test_missing_build_is_one_line_that_says_what_makes_it(tmp_path: Path) -> None:

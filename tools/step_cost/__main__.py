@@ -57,6 +57,7 @@ def arguments() -> argparse.Namespace:
     what.add_argument("--update", action="store_true", help="make today's figures the budgets")
     what.add_argument("--profile", choices=ORDERS, metavar="ORDER", help="where the cycles of a step go")
     what.add_argument("--equality", action="store_true", help="compare target and host bit for bit instead")
+    parser.add_argument("--tick", action="store_true", help="of --profile: the whole tick, frames and all")
     parser.add_argument("--output", choices=OUTPUTS, default=OUTPUTS[0], help="of --profile: posture or point")
     return parser.parse_args()
 
@@ -70,10 +71,10 @@ def measured(image: Image, orders: tuple[str, ...] = ORDERS) -> tuple[Target, Me
     return target, measurement
 
 
-def show_profile(image: Image, order: str, output: str) -> None:
-    """Print where the cycles of the costliest step go."""
+def show_profile(image: Image, order: str, output: str, whole_tick: bool) -> None:
+    """Print where the cycles of the costliest step or tick go."""
     target, measurement = measured(image, (order,))
-    for table in profile(target.blocks, measurement.paths[Class(order, output), TICK]):
+    for table in profile(target.blocks, measurement.paths[Class(order, output), TICK], whole_tick):
         Console().print(table)
 
 
@@ -138,7 +139,7 @@ def main() -> int:
     options = arguments()
     try:
         if options.profile is not None:
-            show_profile(Image(options.build / MEASURED), options.profile, options.output)
+            show_profile(Image(options.build / MEASURED), options.profile, options.output, options.tick)
         elif options.equality:
             show_equality(Image(options.build / MEASURED), options.host)
         else:

@@ -1,4 +1,4 @@
-"""Where the cycles go in the costliest step of the corpus: by instruction, source line, kind and function."""
+"""Where the cycles go in the costliest step or tick of the corpus: by instruction, source line, kind and function."""
 
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -13,12 +13,13 @@ from step_cost.paths import Blocks
 ROWS = 40
 
 
-def worst_path(blocks: Blocks, paths: Counter[bytes]) -> bytes:
-    """Return the tick whose step took the most cycles."""
+def worst_path(blocks: Blocks, paths: Counter[bytes], whole_tick: bool = False) -> bytes:
+    """Return the tick that took the most cycles, for its step or as a whole."""
 
     def cycles(path: bytes) -> int:
-        cost = step_cost(blocks.cost(path))
-        return 0 if cost is None else cost.cycles
+        cost = blocks.cost(path)
+        part = cost.total if whole_tick else step_cost(cost)
+        return 0 if part is None else part.cycles
 
     return max(paths, key=cycles)
 
@@ -52,9 +53,9 @@ def spent_in(blocks: Blocks, path: bytes, functions: tuple[str, ...] | None = No
     return spent
 
 
-def _instructions(blocks: Blocks, spent: Spent) -> Table:
+def _instructions(blocks: Blocks, spent: Spent, what: str) -> Table:
     columns = ("address", "function", "instruction", "times", "cycles", "line")
-    made = Table(*columns, title=f"step: the {ROWS} costliest instructions")
+    made = Table(*columns, title=f"{what}: the {ROWS} costliest instructions")
     for address, cycles in spent.cycles.most_common(ROWS):
         where = (blocks.image.function_at(address), escape(blocks.instruction_at(address).text))
         line = blocks.image.line_at(address)
@@ -62,8 +63,8 @@ def _instructions(blocks: Blocks, spent: Spent) -> Table:
     return made
 
 
-def _lines(blocks: Blocks, spent: Spent) -> Table:
-    made = Table("line", "function", "instructions", "cycles", title=f"step: the {ROWS} costliest source lines")
+def _lines(blocks: Blocks, spent: Spent, what: str) -> Table:
+    made = Table("line", "function", "instructions", "cycles", title=f"{what}: the {ROWS} costliest source lines")
     image = blocks.image
 
     def place(address: int) -> str:
@@ -89,15 +90,19 @@ def _side_by_side(title: str, name: Callable[[int], str], step: Spent, tick: Spe
     return made
 
 
-def profile(blocks: Blocks, paths: Counter[bytes]) -> Iterator[Table]:
-    """Yield tables of the costliest step, control step and trajectory evaluation with all they call, and its tick."""
-    path = worst_path(blocks, paths)
+def profile(blocks: Blocks, paths: Counter[bytes], whole_tick: bool = False) -> Iterator[Table]:
+    """Yield tables of the costliest step, control step and trajectory evaluation with all they call, and its tick.
+
+    Instructions and lines are those of the step, or with ``whole_tick`` of the costliest tick.
+    """
+    path = worst_path(blocks, paths, whole_tick)
     step, tick = spent_in(blocks, path, STEP), spent_in(blocks, path)
 
     def kind(address: int) -> str:
         return blocks.instruction_at(address).kind
 
-    yield _instructions(blocks, step)
-    yield _lines(blocks, step)
+    listed, what = (tick, "tick") if whole_tick else (step, "step")
+    yield _instructions(blocks, listed, what)
+    yield _lines(blocks, listed, what)
     yield _side_by_side("kind of instruction", kind, step, tick)
     yield _side_by_side("function, without what it calls", blocks.image.function_at, step, tick)
