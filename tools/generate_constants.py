@@ -30,11 +30,21 @@ def c_float(value: float) -> str:
     return f"{text}f" if "." in text or "e" in text else f"{text}.0f"
 
 
-def c_matrix(matrix: NDArray[np.floating[Any]]) -> str:
-    """Return the initialiser of a mat3_t."""
-    clean = np.where(np.abs(matrix) < 1e-12 * np.abs(matrix).max(), 0.0, matrix)  # rounding of a true zero
-    rows = ", ".join("{" + ", ".join(c_float(x) for x in row) + "}" for row in clean)
-    return f"{{{{{rows}}}}}"
+def c_vector(vector: NDArray[np.floating[Any]]) -> str:
+    """Return the initialiser of a vec3_t or a wheel_map_t."""
+    return "{" + ", ".join(c_float(x) for x in vector) + "}"
+
+
+def c_map(matrix: NDArray[np.floating[Any]]) -> str:
+    """Return the initialiser of the wheel_map_t that does what a matrix from the body to the wheels does.
+
+    Three equal wheels at 120 degrees make every such matrix of firmware/control/wheels.h's form; others are refused.
+    """
+    ahead, side, turn = matrix[2]
+    form = np.array([[-ahead, side, turn], [0.0, -2.0 * side, turn], [ahead, side, turn]])
+    if not np.allclose(matrix, form, rtol=0.0, atol=1e-12 * np.abs(matrix).max()):
+        raise OmnibotError("firmware/control/wheels.h is for three equal wheels at 120 degrees; this robot has others")
+    return c_vector(matrix[2])
 
 
 def layer_rate(robot: Robot) -> float:
@@ -46,8 +56,8 @@ def layer_rate(robot: Robot) -> float:
 def c_curve(robot: Robot) -> str:
     """Return the initialiser of a floor_curve_t: the rising branch of the magic formula, slip from force.
 
-    u = sin(C atan y) with y = (1 - E) x + E atan x and x = B s, so g = s / (eps Dp) = C x. The branch is left a little
-    below the peak, where its slope is without bound.
+    u = sin(C atan y) with y = (1 - E) x + E atan x and x = B s, so s / (eps Dp) = C x: C x / u times the linear floor's
+    slip. The branch is left a little below the peak, where its slope is without bound.
     """
     force_share = np.linspace(0.0, FORCE_SHARE_MAX, CURVE_INTERVALS + 1)
     y = np.tan(np.arcsin(force_share) / robot.magic_shape)
@@ -55,31 +65,35 @@ def c_curve(robot: Robot) -> str:
     x = y.copy()
     for _ in range(50):  # concave in x: Newton from the left rises to the root
         x += (y - (1.0 - e) * x - e * np.arctan(x)) / ((1.0 - e) + e / (1.0 + x * x))
-    points = ", ".join(c_float(g) for g in robot.magic_shape * x)
+    softening = np.concatenate([[1.0], robot.magic_shape * x[1:] / force_share[1:]])
+    points = ", ".join(c_float(k) for k in softening)
     return f"{{{c_float(FORCE_SHARE_MAX)}, {{{points}}}}}"
 
 
 def robot_fields(robot: Robot) -> list[tuple[str, str, str]]:
     """Return field, initialiser and source formula of a robot_t."""
     jr, r = robot.Jr, robot.wheel_radius_m
-    gamma = jr @ jr.T + r**2 * np.eye(3)
-    rolling = np.linalg.inv(jr.T @ jr) @ np.diag(robot.Mo)
+    of_sum_zero, of_mean = 1.0 / (1.5 + r**2), 1.0 / (np.sum(jr[:, 2] ** 2) + r**2)  # Gamma is 1.5, b^2 1 1^T and r^2 I
+    slip_mass = np.linalg.inv(jr.T @ jr) @ np.diag(robot.Mo)
     period_us = round(1e6 * robot.control_period_s)
     return [
         ("tracked_point_offset_m", c_float(robot.tracked_point_offset_m), "L"),
         ("wheel_radius_m", c_float(r), "r"),
         ("wheel_inertia_kgm2", c_float(robot.wheel_inertia_kg_m2), "Iw"),
-        ("normalised_stiffness_N", c_float(robot.normalised_stiffness_N), "G0"),
+        ("normalised_compliance_per_N", c_float(1.0 / robot.normalised_stiffness_N), "1/G0"),
+        ("wheel_rate_of_contact_speed_per_m", c_float(1.0 / r), "1/r"),
+        ("control_period_s", c_float(robot.control_period_s), "T"),
         ("control_period_us", f"{period_us}u", "T"),
-        ("wheel_rate_of_twist", c_matrix(jr / r), "J = Jr / r"),
-        ("twist_of_wheel_rate", c_matrix(r * np.linalg.inv(jr)), "J^-1"),
-        ("twist_of_contact_speed", c_matrix(np.linalg.inv(jr)), "Jr^-1"),
-        ("slip_mobility_inverse", c_matrix(np.linalg.inv(gamma)), "Gamma^-1 = (Jr Jr^T + r^2 I)^-1"),
-        ("wheel_force_of_accel", c_matrix(np.linalg.inv(jr.T) @ np.diag(robot.Mo)), "Lambda = Jr^-T Mo"),
-        ("accel_of_wheel_force", c_matrix((jr / robot.Mo).T), "Lambda^-1 = Mo^-1 Jr^T"),
-        ("slip_twist_of_accel", c_matrix(rolling), "Jr^-1 Lambda = (Jr^T Jr)^-1 Mo"),
-        ("layer_rate_m_per_Ns2", c_float(layer_rate(robot)), "slowest eigenvalue of M22 Gamma^2"),
-        ("floor_curve", c_curve(robot), "magic formula turned round: g(u) = s / (eps Dp)"),
+        ("wheel_rate_of_twist", c_map(jr / r), "J = Jr / r"),
+        ("inertia_torque_of_accel", c_map(jr / r * robot.wheel_inertia_kg_m2), "Iw J"),
+        ("twist_of_wheel_rate", c_map(r * np.linalg.inv(jr).T), "J^-1"),
+        ("twist_of_contact_speed", c_map(np.linalg.inv(jr).T), "Jr^-1"),
+        ("wheel_force_of_specific", c_map(np.linalg.inv(jr.T) @ np.diag(robot.Mo)), "Lambda = Jr^-T Mo"),
+        ("slip_mass", c_vector(np.diag(slip_mass)), "diagonal of Jr^-1 Lambda = (Jr^T Jr)^-1 Mo"),
+        ("slip_mobility_inverse", c_float(of_sum_zero), "Gamma^-1 = (Jr Jr^T + r^2 I)^-1 where the wheels sum to 0"),
+        ("slip_mobility_inverse_of_sum", c_float((of_mean - of_sum_zero) / 3.0), "and what it adds, of their sum"),
+        ("layer_lag_Ns2_per_m", c_float(1.0 / layer_rate(robot)), "over the slowest eigenvalue of M22 Gamma^2"),
+        ("floor_curve", c_curve(robot), "magic formula turned round: s / (eps lambda / G0)"),
     ]
 
 

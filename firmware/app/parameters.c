@@ -40,12 +40,12 @@ control_params_t parameters_for_control(const parameters_t *parameters, const ro
     const float *value = parameters->value;
     const float K1 = value[PARAMETER_POSITION_STIFFNESS_PER_S2];
     const float K2 = value[PARAMETER_POSITION_DAMPING_PER_S];
-    return (control_params_t){
+    control_params_t params = {
         .robot = robot,
         .order = (int32_t)value[PARAMETER_ORDER],
         .floor = {.curve = &robot->floor_curve,
                   .linear = (int32_t)value[PARAMETER_TRACTION] == 0,
-                  .compliance_per_N = value[PARAMETER_EPSILON] / robot->normalised_stiffness_N,
+                  .compliance_per_N = value[PARAMETER_EPSILON] * robot->normalised_compliance_per_N,
                   .friction_limit_N = value[PARAMETER_FRICTION_LIMIT_N]},
         .delta_mps = value[PARAMETER_DELTA_M_PER_S],
         .speed_length_m = value[PARAMETER_SPEED_LENGTH_M],
@@ -57,4 +57,6 @@ control_params_t parameters_for_control(const parameters_t *parameters, const ro
         .force_bound_N = value[PARAMETER_FORCE_BOUND_N],
         .torque_bound_Nm = value[PARAMETER_TORQUE_BOUND_NM],
     };
+    control_prepare(&params);
+    return params;
 }

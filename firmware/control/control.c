@@ -14,93 +14,80 @@ typedef struct {
 typedef struct {
     const control_params_t *params;
     tracking_t tracking;
-    vec3_t odometry; // v_odo
+    vec3_t odometry;          // v_odo
+    float odometry_speed_mps; // its V
     compliance_t compliance;
 } step_t;
 
-/// What the law asks for.
+/// What the law asks for at a twist.
 typedef struct {
-    vec3_t twist;              // ν
-    vec3_t eta;                // η
-    vec3_t wheel_force_N;      // λ
-    vec3_t wheel_acceleration; // φ̈
+    vec3_t twist;          // ν
+    vec3_t eta;            // η
+    vec3_t specific_force; // η + ω×ν
+    vec3_t wheel_force_N;  // λ
 } demand_t;
 
-static bool input_is_finite(const control_input_t *input)
+void control_prepare(control_params_t *params)
 {
-    return vec3_is_finite(input->pose) && vec3_is_finite(input->wheel_speed_rad_per_s) &&
-           vec3_is_finite(input->reference.position) && vec3_is_finite(input->reference.velocity) &&
-           vec3_is_finite(input->reference.acceleration) && vec3_is_finite(input->reference.jerk);
+    const float translation = params->robot->slip_mass.x * params->law.damping_per_s.x;
+    const float heading_damping = params->law.output == OUTPUT_POSTURE ? params->law.damping_per_s.z : 0.0f;
+    const float yaw = params->robot->slip_mass.z * heading_damping;
+    params->compliance_max_mps_per_N = params->series_ratio_max / (translation > yaw ? translation : yaw);
+    params->layer_s_per_mps = params->floor.compliance_per_N * params->robot->layer_lag_Ns2_per_m;
+    floor_prepare(&params->floor);
 }
 
-/// The factor that brings the largest entry down to a bound; 1 where it is within.
-static float scale_to_bound(vec3_t value, float bound)
+/// The factor that brings a size down to a bound; 1 where it is within.
+static float scale_to_bound(float size, float bound)
 {
-    const float largest = vec3_max_abs(value);
-    return largest > bound ? bound / largest : 1.0f;
+    return size > bound ? bound / size : 1.0f;
 }
 
 /// c = ε (V + δ)/G0 with the V of the encoders, held back so that ρ stays below its bound in translation and in yaw.
 /// Theory (C9).
-static compliance_t slip_compliance(const control_params_t *params, vec3_t odometry)
+static compliance_t slip_compliance(const control_params_t *params, float odometry_speed_mps)
 {
-    const mat3_t *mass_kg = &params->robot->slip_twist_of_accel;
-    const float translation = mass_kg->m[0][0] * params->law.damping_per_s.x;
-    const float heading_damping = params->law.output == OUTPUT_POSTURE ? params->law.damping_per_s.z : 0.0f;
-    const float yaw = mass_kg->m[2][2] * heading_damping;
-    const float speed_mps = kinematics_speed(odometry, params->speed_length_m) + params->delta_mps;
-    const float wanted = params->floor.compliance_per_N * speed_mps;
-    const float most = params->series_ratio_max / (translation > yaw ? translation : yaw);
+    const float wanted = params->floor.compliance_per_N * (odometry_speed_mps + params->delta_mps);
+    const float most = params->compliance_max_mps_per_N;
     const bool held_back = wanted > most;
     return (compliance_t){.mps_per_N = held_back ? most : wanted, .held_back = held_back};
 }
 
-static vec3_t force_at(const step_t *step, vec3_t twist)
+static demand_t demand_at(const step_t *step, vec3_t twist)
 {
-    const control_params_t *params = step->params;
-    const vec3_t eta = tracking_eta(params->robot, &params->law, &step->tracking, twist);
-    return manifold_force(params->robot, twist, eta);
+    const robot_t *robot = step->params->robot;
+    const vec3_t eta = tracking_eta(robot, &step->params->law, &step->tracking, twist);
+    const vec3_t specific_force = vec3_add_turn(eta, twist.z, twist);
+    return (demand_t){twist, eta, specific_force, manifold_force(robot, specific_force)};
 }
 
 /// ν = v_odo − c Jr⁻¹ λ with the force that the floor will really be asked for. Theory (C5).
 static vec3_t twist_of_force(const step_t *step, vec3_t force_N)
 {
-    const float bounded = scale_to_bound(force_N, step->params->force_bound_N);
-    const vec3_t slip_twist = mat3_apply(&step->params->robot->twist_of_contact_speed, force_N);
+    const float bounded = scale_to_bound(vec3_max_abs(force_N), step->params->force_bound_N);
+    const vec3_t slip_twist = body_of_wheels(&step->params->robot->twist_of_contact_speed, force_N);
     return vec3_add_scaled(step->odometry, -step->compliance.mps_per_N * bounded, slip_twist);
 }
 
-/// ν to order N of the expansion: each round adds one power of ε. Theory (C5).
-static vec3_t twist_of_series(const step_t *step, int32_t order)
-{
-    vec3_t twist = step->odometry;
-    for (int32_t k = 0; k < order; k++) {
-        twist = twist_of_force(step, force_at(step, twist));
-    }
-    return twist;
-}
-
-/// ν of the series' limit: one Newton step from v_odo on ν + c Jr⁻¹ λ(ν) = v_odo, which is linear but for ω². Theory
+/// A Newton step from v_odo on ν + c Jr⁻¹ λ(ν) = v_odo, which is linear but for ω², given the first round's ν. Theory
 /// (C7).
-static vec3_t twist_of_limit(const step_t *step)
+static vec3_t newton_step(const step_t *step, vec3_t first_round)
 {
     const robot_t *robot = step->params->robot;
     const mat3_t gradient = tracking_gradient(robot, &step->params->law, step->odometry);
-    const mat3_t system = mat3_identity_plus(step->compliance.mps_per_N, &robot->slip_twist_of_accel, &gradient);
-    const vec3_t residual = vec3_sub(twist_of_force(step, force_at(step, step->odometry)), step->odometry);
-    const vec3_t twist = vec3_add(step->odometry, mat3_solve(&system, residual));
-    return twist_of_force(step, force_at(step, twist));
+    const mat3_t system = mat3_identity_plus(vec3_scale(step->compliance.mps_per_N, robot->slip_mass), &gradient);
+    return vec3_add(step->odometry, mat3_solve(&system, vec3_sub(first_round, step->odometry)));
 }
 
 /// V + δ where V is the speed of the twist looked for, ν = v_odo − (V + δ) s: the root of a quadratic that is v_odo's
 /// own speed without slip. Slip ratios beyond one leave no root near it; then the nearest of δ … twice v_odo's is
 /// taken. Theory (O3).
-static float speed_behind_slip(const control_params_t *params, vec3_t odometry, vec3_t slip_twist)
+static float speed_behind_slip(const step_t *step, vec3_t slip_twist)
 {
-    const float delta = params->delta_mps, length_m = params->speed_length_m;
-    const float speed = kinematics_speed(odometry, length_m);
+    const float delta = step->params->delta_mps, length_m = step->params->speed_length_m;
+    const float speed = step->odometry_speed_mps;
     const float n = kinematics_speed_product(slip_twist, slip_twist, length_m);
-    const float p = kinematics_speed_product(odometry, slip_twist, length_m) - delta;
+    const float p = kinematics_speed_product(step->odometry, slip_twist, length_m) - delta;
     const float q = (speed - delta) * (speed + delta);
     const float discriminant = p * p + (1.0f - n) * q;
     const float denominator = p + sqrtf(discriminant > 0.0f ? discriminant : 0.0f);
@@ -115,135 +102,140 @@ static vec3_t twist_of_observer(const step_t *step, vec3_t force_estimate_N)
 {
     const control_params_t *params = step->params;
     const vec3_t slip_ratio = floor_slip_ratios(&params->floor, force_estimate_N);
-    const vec3_t slip_twist = mat3_apply(&params->robot->twist_of_contact_speed, slip_ratio);
-    return vec3_add_scaled(step->odometry, -speed_behind_slip(params, step->odometry, slip_twist), slip_twist);
+    const vec3_t slip_twist = body_of_wheels(&params->robot->twist_of_contact_speed, slip_ratio);
+    return vec3_add_scaled(step->odometry, -speed_behind_slip(step, slip_twist), slip_twist);
 }
 
-static vec3_t corrected_twist(const step_t *step, const control_state_t *state)
+/// The demand to order N of the expansion, each round adding one power of ε (C5); or to its limit, which is a round, a
+/// Newton step and a round more (C7); or from the observer's twist on.
+static demand_t corrected_demand(const step_t *step, vec3_t force_estimate_N)
 {
-    if (step->params->order == CONTROL_OBSERVER) {
-        return twist_of_observer(step, state->force_estimate_N);
+    const int32_t order = step->params->order;
+    const bool observed = order == CONTROL_OBSERVER, limit = order == CONTROL_EXACT;
+    const int32_t rounds = observed ? 0 : limit ? 2 : order;
+    demand_t demand = demand_at(step, observed ? twist_of_observer(step, force_estimate_N) : step->odometry);
+    for (int32_t k = 0; k < rounds; k++) {
+        const vec3_t twist = twist_of_force(step, demand.wheel_force_N);
+        demand = demand_at(step, limit && k == 0 ? newton_step(step, twist) : twist);
     }
-    if (step->params->order == CONTROL_EXACT) {
-        return twist_of_limit(step);
-    }
-    return twist_of_series(step, step->params->order);
+    return demand;
 }
 
-/// φ̈ = (Jr η − σ̇)/r with σ̇ = −c λ̇ − ċ λ. Theory (M5).
-static vec3_t wheel_acceleration(const step_t *step, vec3_t twist, vec3_t eta, vec3_t force_N)
+/// c ḟ + ċ f of the specific force f = ν̇ + ω×ν, so that −σ̇ = Λ (c ḟ + ċ f). Theory (M5).
+static vec3_t slip_specific_rate(const step_t *step, const demand_t *demand, float speed_mps)
 {
     const control_params_t *params = step->params;
-    const robot_t *robot = params->robot;
-    const vec3_t rolling = mat3_apply(&robot->wheel_rate_of_twist, eta);
-    if (params->order == 0) {
-        return rolling;
-    }
-    const vec3_t eta_rate = tracking_eta_rate(robot, &params->law, &step->tracking, twist, eta);
-    const vec3_t force_rate = manifold_force_rate(robot, twist, eta, eta_rate);
-    const float speed_rate = kinematics_speed_rate(twist, eta, params->speed_length_m);
+    const vec3_t eta_rate = tracking_eta_rate(params->robot, &params->law, &step->tracking, demand->twist, demand->eta);
+    const vec3_t specific_rate = manifold_specific_force_rate(demand->twist, demand->eta, eta_rate);
+    const float speed_rate = kinematics_speed_rate(demand->twist, speed_mps, demand->eta, params->speed_length_m);
     const float c_rate = step->compliance.held_back ? 0.0f : params->floor.compliance_per_N * speed_rate;
-    const vec3_t slip_rate = vec3_add_scaled(vec3_scale(-step->compliance.mps_per_N, force_rate), -c_rate, force_N);
-    return vec3_add_scaled(rolling, -1.0f / robot->wheel_radius_m, slip_rate);
+    const vec3_t scaled = vec3_scale(step->compliance.mps_per_N, specific_rate);
+    return vec3_add_scaled(scaled, c_rate, demand->specific_force);
 }
 
-static demand_t demand_at(const step_t *step, vec3_t twist)
+/// Iw φ̈ with φ̈ = (Jr η − σ̇)/r; as Λ = Jr (JrᵀJr)⁻¹Mo, that is J of η and of what −σ̇ would be of the body. Theory (M5).
+static vec3_t inertia_torque(const step_t *step, const demand_t *demand, float speed_mps)
 {
     const robot_t *robot = step->params->robot;
-    const vec3_t eta = tracking_eta(robot, &step->params->law, &step->tracking, twist);
-    const vec3_t force_N = manifold_force(robot, twist, eta);
-    return (demand_t){
-        .twist = twist,
-        .eta = eta,
-        .wheel_force_N = force_N,
-        .wheel_acceleration = wheel_acceleration(step, twist, eta, force_N),
-    };
-}
-
-/// τ = r λ + Iw φ̈ (32), (29), with λ and then τ held within their bounds.
-static void bounded_torque(const control_params_t *params, const demand_t *demand, control_output_t *output)
-{
-    const robot_t *robot = params->robot;
-    const float force_scale = scale_to_bound(demand->wheel_force_N, params->force_bound_N);
-    const vec3_t force = vec3_scale(force_scale, demand->wheel_force_N);
-    const vec3_t rolling = vec3_scale(robot->wheel_radius_m, force);
-    const vec3_t torque = vec3_add_scaled(rolling, force_scale * robot->wheel_inertia_kgm2, demand->wheel_acceleration);
-    const float torque_scale = scale_to_bound(torque, params->torque_bound_Nm);
-    output->torque_Nm = vec3_scale(torque_scale, torque);
-    output->wheel_force_N = vec3_scale(torque_scale, force);
-    output->force_bounded = force_scale < 1.0f;
-    output->torque_bounded = torque_scale < 1.0f;
+    vec3_t body_acceleration = demand->eta;
+    if (step->params->order != 0) {
+        const vec3_t slip_rate = vec3_gained(robot->slip_mass, slip_specific_rate(step, demand, speed_mps));
+        body_acceleration = vec3_add(demand->eta, slip_rate);
+    }
+    return wheels_of_body(&robot->inertia_torque_of_accel, body_acceleration);
 }
 
 /// How far the slip gets in one period on its way to what the force makes of it: 1 − e^(−T/τ), τ the time constant of
-/// the boundary layer (18) and of any lag besides; e^x to its cubic term. Theory (O1).
+/// the boundary layer (18) and of any lag besides; e^x to its cubic term, over a common denominator. Theory (O1).
 static float observer_gain(const control_params_t *params, float speed_mps, float period_s)
 {
-    const float layer_s = params->floor.compliance_per_N * speed_mps / params->robot->layer_rate_m_per_Ns2;
-    const float tau_s = layer_s + params->observer_lag_s;
-    const float x = period_s / (tau_s + 1.0e-3f * period_s); // no lag at all is a lag far below a period
-    return 1.0f - 1.0f / (1.0f + x * (1.0f + x * (0.5f + x * (1.0f / 6.0f))));
+    const float layer_s = params->layer_s_per_mps * (speed_mps + params->delta_mps);
+    const float tau_s = layer_s + params->observer_lag_s + 1.0e-3f * period_s; // no lag at all is far below a period
+    const float half_s = 0.5f * period_s;
+    const float rise = period_s * (tau_s * (tau_s + half_s) + (2.0f / 3.0f) * half_s * half_s);
+    return rise / (tau_s * tau_s * tau_s + rise);
 }
 
-/// The state a period on, with the torque held: λ̂ follows the forces asked for (O1), the pose the twist (K5).
-static control_state_t next_state(const control_params_t *params, const control_state_t *now)
+/// Moves the state a period on, with the torque held: λ̂ follows the forces asked for (O1), the pose the twist (K5).
+static void advance(const control_params_t *params, control_state_t *state, rotation_t heading, float speed_mps)
 {
-    const vec3_t lag = vec3_sub(now->wheel_force_N, now->force_estimate_N);
-    const float period_s = (float)params->robot->control_period_us * 1.0e-6f;
-    const float speed_mps = kinematics_speed(now->twist, params->speed_length_m) + params->delta_mps;
+    const float period_s = params->robot->control_period_s;
     const float gain = observer_gain(params, speed_mps, period_s);
-    const vec3_t acceleration = manifold_acceleration(params->robot, now->twist, now->wheel_force_N);
-    const vec3_t halfway = vec3_add_scaled(now->twist, 0.5f * period_s, acceleration);
-    return (control_state_t){
-        .force_estimate_N = vec3_add_scaled(now->force_estimate_N, gain, lag),
-        .pose = kinematics_moved_pose(now->pose, halfway, period_s),
-        .twist = vec3_add_scaled(now->twist, period_s, acceleration),
-        .wheel_force_N = now->wheel_force_N,
-    };
+    const vec3_t lag = vec3_sub(state->wheel_force_N, state->force_estimate_N);
+    const vec3_t acceleration = vec3_add_turn(state->specific_force, -state->twist.z, state->twist);
+    const vec3_t halfway = vec3_add_scaled(state->twist, 0.5f * period_s, acceleration);
+    state->force_estimate_N = vec3_add_scaled(state->force_estimate_N, gain, lag);
+    state->pose = kinematics_moved_pose(state->pose, heading, halfway, period_s);
+    state->twist = vec3_add_scaled(state->twist, period_s, acceleration);
 }
 
 void control_coast(const control_params_t *params, control_state_t *state)
 {
-    *state = next_state(params, state);
+    const float speed_mps = kinematics_speed(state->twist, params->speed_length_m);
+    advance(params, state, rotation_of(state->pose.value.z), speed_mps);
+}
+
+static step_t step_of(const control_params_t *params, vec3_t pose, const control_input_t *input)
+{
+    const vec3_t odometry = kinematics_odometry(params->robot, input->wheel_speed_rad_per_s);
+    const float speed_mps = kinematics_speed(odometry, params->speed_length_m);
+    return (step_t){
+        .params = params,
+        .tracking = tracking_from(params->robot, &params->law, pose, &input->reference),
+        .odometry = odometry,
+        .odometry_speed_mps = speed_mps,
+        .compliance = slip_compliance(params, speed_mps),
+    };
+}
+
+/// τ = r λ + Iw φ̈ (32), (29), with λ and then τ held within their bounds.
+static void bounded_output(const step_t *step, const demand_t *demand, float speed_mps, control_output_t *output)
+{
+    const control_params_t *params = step->params;
+    const robot_t *robot = params->robot;
+    const float force_scale = scale_to_bound(vec3_max_abs(demand->wheel_force_N), params->force_bound_N);
+    const vec3_t rolling = vec3_scale(robot->wheel_radius_m, demand->wheel_force_N);
+    const vec3_t torque = vec3_add(rolling, inertia_torque(step, demand, speed_mps));
+    const float torque_scale = scale_to_bound(force_scale * vec3_max_abs(torque), params->torque_bound_Nm);
+    const float scale = force_scale * torque_scale;
+    const float mobility = (speed_mps + params->delta_mps) * robot->normalised_compliance_per_N;
+    const vec3_t wheel_force = vec3_scale(scale, demand->wheel_force_N);
+    output->torque_Nm = vec3_scale(scale, torque);
+    output->mu_mps = manifold_of_force(robot, mobility, wheel_force);
+    output->wheel_force_N = wheel_force;
+    output->specific_force = vec3_scale(scale, demand->specific_force);
+    output->twist = demand->twist;
+    output->eta = demand->eta;
+    output->error = step->tracking.error;
+    output->force_bounded = force_scale < 1.0f;
+    output->torque_bounded = torque_scale < 1.0f;
+}
+
+/// A sum is finite only if each of its terms is. What is not finite on the way in comes out here: no bound and no
+/// choice on the way makes a number of it, and each of µ has every force in it.
+static bool is_finite(const control_output_t *output)
+{
+    return isfinite(vec3_sum(output->torque_Nm) + output->mu_mps.x);
 }
 
 bool control_step(const control_params_t *params, control_state_t *state, const control_input_t *input,
                   control_output_t *output)
 {
-    *output = (control_output_t){0};
-    pose_sum_t pose = state->pose;
-    if (input->pose_is_new) {
-        pose = (pose_sum_t){.value = input->pose};
-    }
-    if (!input_is_finite(input) || !vec3_is_finite(pose.value)) {
-        return false;
-    }
-    const vec3_t odometry = kinematics_odometry(params->robot, input->wheel_speed_rad_per_s);
-    const step_t step = {
-        .params = params,
-        .tracking = tracking_from(params->robot, pose.value, &input->reference),
-        .odometry = odometry,
-        .compliance = slip_compliance(params, odometry),
-    };
-    const demand_t demand = demand_at(&step, corrected_twist(&step, state));
-    bounded_torque(params, &demand, output);
-    const float mobility = (kinematics_speed(demand.twist, params->speed_length_m) + params->delta_mps) /
-                           params->robot->normalised_stiffness_N;
-    output->mu_mps = manifold_of_force(params->robot, mobility, output->wheel_force_N);
-    output->twist = demand.twist;
-    output->eta = demand.eta;
-    output->error = step.tracking.error;
-    const control_state_t now = {
-        .force_estimate_N = state->force_estimate_N,
-        .pose = pose,
-        .twist = output->twist,
-        .wheel_force_N = output->wheel_force_N,
-    };
-    const control_state_t next = next_state(params, &now);
-    if (!vec3_is_finite(output->torque_Nm) || !vec3_is_finite(output->mu_mps) || !vec3_is_finite(next.pose.value)) {
+    const vec3_t *pose = input->pose_is_new ? &input->pose : &state->pose.value;
+    const step_t step = step_of(params, *pose, input);
+    const demand_t demand = corrected_demand(&step, state->force_estimate_N);
+    const float speed_mps = kinematics_speed(demand.twist, params->speed_length_m);
+    bounded_output(&step, &demand, speed_mps, output);
+    if (!is_finite(output)) {
         *output = (control_output_t){0};
         return false;
     }
-    *state = next;
+    if (input->pose_is_new) {
+        state->pose = (pose_sum_t){.value = input->pose, .rest = {0.0f, 0.0f, 0.0f}};
+    }
+    state->twist = output->twist;
+    state->wheel_force_N = output->wheel_force_N;
+    state->specific_force = output->specific_force;
+    advance(params, state, step.tracking.heading, speed_mps);
     return true;
 }

@@ -3,7 +3,7 @@
 
 vec3_t kinematics_odometry(const robot_t *robot, vec3_t wheel_speed_rad_per_s)
 {
-    return mat3_apply(&robot->twist_of_wheel_rate, wheel_speed_rad_per_s);
+    return body_of_wheels(&robot->twist_of_wheel_rate, wheel_speed_rad_per_s);
 }
 
 vec3_t kinematics_output(const robot_t *robot, vec3_t pose, rotation_t heading)
@@ -22,11 +22,11 @@ vec3_t kinematics_twist_of_point(const robot_t *robot, vec3_t point_twist)
     return (vec3_t){point_twist.x + robot->tracked_point_offset_m * point_twist.z, point_twist.y, point_twist.z};
 }
 
-pose_sum_t kinematics_moved_pose(pose_sum_t pose, vec3_t twist, float time_s)
+pose_sum_t kinematics_moved_pose(pose_sum_t pose, rotation_t heading, vec3_t twist, float time_s)
 {
     const vec3_t way = vec3_scale(time_s, twist);
-    const rotation_t heading = rotation_of(pose.value.z + 0.5f * way.z);
-    const vec3_t step = vec3_add(rotation_to_world(heading, way), pose.rest);
+    const rotation_t halfway = rotation_turned(heading, 0.5f * way.z);
+    const vec3_t step = vec3_add(rotation_to_world(halfway, way), pose.rest);
     const vec3_t sum = vec3_add(pose.value, step);
     const vec3_t rest = vec3_sub(step, vec3_sub(sum, pose.value));
     return (pose_sum_t){.value = {sum.x, sum.y, angle_wrap(sum.z)}, .rest = rest};
@@ -42,8 +42,8 @@ float kinematics_speed(vec3_t twist, float speed_length_m)
     return sqrtf(kinematics_speed_product(twist, twist, speed_length_m));
 }
 
-float kinematics_speed_rate(vec3_t twist, vec3_t acceleration, float speed_length_m)
+float kinematics_speed_rate(vec3_t twist, float speed_mps, vec3_t acceleration, float speed_length_m)
 {
-    const float speed = kinematics_speed(twist, speed_length_m);
-    return speed > 0.0f ? kinematics_speed_product(twist, acceleration, speed_length_m) / speed : 0.0f;
+    const float product = kinematics_speed_product(twist, acceleration, speed_length_m);
+    return speed_mps > 0.0f ? product / speed_mps : 0.0f;
 }

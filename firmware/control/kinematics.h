@@ -25,9 +25,9 @@ typedef struct {
     vec3_t rest;
 } pose_sum_t;
 
-/// Adds the way of a time at a twist: the position moves along the heading halfway, the heading is wrapped. Theory
-/// (K5).
-pose_sum_t kinematics_moved_pose(pose_sum_t pose, vec3_t twist, float time_s);
+/// Adds the way of a time at a twist, in which the robot turns by a small angle; `heading` is the pose's. The position
+/// moves along the heading halfway, the heading is wrapped. Theory (K5).
+pose_sum_t kinematics_moved_pose(pose_sum_t pose, rotation_t heading, vec3_t twist, float time_s);
 
 /// Speed V = (νx² + νy² + (ℓ ω)²)^½ in m/s. Paper (14).
 float kinematics_speed(vec3_t twist, float speed_length_m);
@@ -35,7 +35,7 @@ float kinematics_speed(vec3_t twist, float speed_length_m);
 /// The product whose square root of a twist with itself is V: a·b = ax bx + ay by + ℓ² az bz.
 float kinematics_speed_product(vec3_t a, vec3_t b, float speed_length_m);
 
-/// V̇ for a twist that changes at the given rate; 0 at rest, where V has no derivative.
-float kinematics_speed_rate(vec3_t twist, vec3_t acceleration, float speed_length_m);
+/// V̇ for a twist of speed V that changes at the given rate; 0 at rest, where V has no derivative.
+float kinematics_speed_rate(vec3_t twist, float speed_mps, vec3_t acceleration, float speed_length_m);
 
 #endif

@@ -1,23 +1,19 @@
 // SPDX-License-Identifier: MIT
 #include "manifold.h"
 
-vec3_t manifold_force(const robot_t *robot, vec3_t twist, vec3_t acceleration)
+vec3_t manifold_force(const robot_t *robot, vec3_t specific_force)
 {
-    return mat3_apply(&robot->wheel_force_of_accel, vec3_add(acceleration, vec3_turn(twist.z, twist)));
+    return wheels_of_body(&robot->wheel_force_of_specific, specific_force);
 }
 
-vec3_t manifold_acceleration(const robot_t *robot, vec3_t twist, vec3_t force_N)
+vec3_t manifold_specific_force_rate(vec3_t twist, vec3_t acceleration, vec3_t jerk)
 {
-    return vec3_sub(mat3_apply(&robot->accel_of_wheel_force, force_N), vec3_turn(twist.z, twist));
-}
-
-vec3_t manifold_force_rate(const robot_t *robot, vec3_t twist, vec3_t acceleration, vec3_t jerk)
-{
-    const vec3_t turning = vec3_add(vec3_turn(acceleration.z, twist), vec3_turn(twist.z, acceleration));
-    return mat3_apply(&robot->wheel_force_of_accel, vec3_add(jerk, turning));
+    return vec3_add_turn(vec3_add_turn(jerk, acceleration.z, twist), twist.z, acceleration);
 }
 
 vec3_t manifold_of_force(const robot_t *robot, float mobility, vec3_t force_N)
 {
-    return vec3_scale(-mobility, mat3_apply(&robot->slip_mobility_inverse, force_N));
+    const float alike = -mobility * robot->slip_mobility_inverse_of_sum * vec3_sum(force_N);
+    const float scale = -mobility * robot->slip_mobility_inverse;
+    return (vec3_t){scale * force_N.x + alike, scale * force_N.y + alike, scale * force_N.z + alike};
 }

@@ -6,14 +6,12 @@
 
 #include "robot.h"
 
-/// λ = Λ (ν̇ + ω×ν): the wheel forces (N) that accelerate the body so. Theory (M2); (28) of the paper is its order 0.
-vec3_t manifold_force(const robot_t *robot, vec3_t twist, vec3_t acceleration);
+/// λ = Λ (ν̇ + ω×ν): the wheel forces (N) of a specific force on the body (m/s², m/s², rad/s²), which is ν̇ + ω×ν.
+/// Theory (M2); (28) of the paper is its order 0.
+vec3_t manifold_force(const robot_t *robot, vec3_t specific_force);
 
-/// ν̇ = Λ⁻¹ λ − ω×ν: the same turned round.
-vec3_t manifold_acceleration(const robot_t *robot, vec3_t twist, vec3_t force_N);
-
-/// λ̇ = Λ (ν̈ + Ω(ν̇3) ν + Ω(ν3) ν̇). Theory (M3).
-vec3_t manifold_force_rate(const robot_t *robot, vec3_t twist, vec3_t acceleration, vec3_t jerk);
+/// d/dt (ν̇ + ω×ν) = ν̈ + Ω(ν̇3) ν + Ω(ν3) ν̇, the rate of the specific force: λ̇ is Λ times it. Theory (M3).
+vec3_t manifold_specific_force_rate(vec3_t twist, vec3_t acceleration, vec3_t jerk);
 
 /// µ = −κ Γ⁻¹ λ, κ = (V + δ)/G0: the fast variable that belongs to the forces λ. Theory (M1).
 vec3_t manifold_of_force(const robot_t *robot, float mobility, vec3_t force_N);

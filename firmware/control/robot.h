@@ -6,24 +6,28 @@
 
 #include "floor.h"
 #include "vec3.h"
+#include "wheels.h"
 
 #include <stdint.h>
 
 typedef struct {
-    float tracked_point_offset_m;  // L
-    float wheel_radius_m;          // r
-    float wheel_inertia_kgm2;      // Iw
-    float normalised_stiffness_N;  // G0
-    uint32_t control_period_us;    // T
-    mat3_t wheel_rate_of_twist;    // J = Jr / r, 1/m: φ̇ = J ν without slip
-    mat3_t twist_of_wheel_rate;    // J⁻¹, m
-    mat3_t twist_of_contact_speed; // Jr⁻¹
-    mat3_t slip_mobility_inverse;  // Γ⁻¹, Γ = Jr Jrᵀ + r² I3
-    mat3_t wheel_force_of_accel;   // Λ = Jr⁻ᵀ Mo: wheel forces (N) of a body acceleration
-    mat3_t accel_of_wheel_force;   // Λ⁻¹ = Mo⁻¹ Jrᵀ
-    mat3_t slip_twist_of_accel;    // Jr⁻¹ Λ = (Jrᵀ Jr)⁻¹ Mo
-    float layer_rate_m_per_Ns2;    // slowest eigenvalue of M22 Γ²: the layer (18) dies at this times G0/(ε (V+δ))
-    floor_curve_t floor_curve;     // the magic formula's shape, turned round
+    float tracked_point_offset_m;            // L
+    float wheel_radius_m;                    // r
+    float wheel_inertia_kgm2;                // Iw
+    float normalised_compliance_per_N;       // 1/G0
+    float wheel_rate_of_contact_speed_per_m; // 1/r
+    float control_period_s;                  // T
+    uint32_t control_period_us;              // T
+    wheel_map_t wheel_rate_of_twist;         // J = Jr / r, 1/m: φ̇ = J ν without slip
+    wheel_map_t inertia_torque_of_accel;     // Iw J
+    wheel_map_t twist_of_wheel_rate;         // J⁻¹, m
+    wheel_map_t twist_of_contact_speed;      // Jr⁻¹
+    wheel_map_t wheel_force_of_specific;     // Λ = Jr⁻ᵀ Mo: wheel forces (N) of a specific force on the body
+    vec3_t slip_mass;                        // diagonal of Jr⁻¹ Λ = (Jrᵀ Jr)⁻¹ Mo
+    float slip_mobility_inverse;             // Γ⁻¹ of what sums to 0 over the wheels, Γ = Jr Jrᵀ + r² I3
+    float slip_mobility_inverse_of_sum;      // and what Γ⁻¹ adds to each wheel, of their sum
+    float layer_lag_Ns2_per_m; // over the slowest eigenvalue of M22 Γ²: the layer (18) dies in this times ε (V+δ)/G0
+    floor_curve_t floor_curve; // the magic formula's shape, turned round
 } robot_t;
 
 /// The robot of firmware/robot/omnibot.toml.

@@ -3,16 +3,19 @@
 
 #include "kinematics.h"
 
-tracking_t tracking_from(const robot_t *robot, vec3_t pose, const reference_t *reference)
+tracking_t tracking_from(const robot_t *robot, const tracking_law_t *law, vec3_t pose, const reference_t *reference)
 {
+    const vec3_t K1 = law->stiffness_per_s2, K2 = law->damping_per_s;
     const rotation_t heading = rotation_of(pose.z);
     vec3_t error = vec3_sub(kinematics_output(robot, pose, heading), reference->position);
     error.z = angle_wrap(error.z);
+    const vec3_t driven = vec3_add(reference->acceleration, vec3_gained(K2, reference->velocity));
+    const vec3_t driven_rate = vec3_add(reference->jerk, vec3_gained(K2, reference->acceleration));
     return (tracking_t){
-        .error = rotation_to_body(heading, error),
-        .velocity = rotation_to_body(heading, reference->velocity),
-        .acceleration = rotation_to_body(heading, reference->acceleration),
-        .jerk = rotation_to_body(heading, reference->jerk),
+        .heading = heading,
+        .error = error,
+        .standing = rotation_to_body(heading, vec3_sub(driven, vec3_gained(K1, error))),
+        .standing_rate = rotation_to_body(heading, vec3_add(driven_rate, vec3_gained(K1, reference->velocity))),
     };
 }
 
@@ -30,16 +33,14 @@ static vec3_t body_acceleration(const robot_t *robot, tracking_output_t output, 
 /// a = ÿref − K2 ẏ̃ − K1 ỹ, the acceleration wanted of the output. Theory (C1).
 static vec3_t output_acceleration(const tracking_law_t *law, const tracking_t *tracking, vec3_t point_twist)
 {
-    const vec3_t error_rate = vec3_sub(point_twist, tracking->velocity);
-    const vec3_t damped = vec3_sub(tracking->acceleration, vec3_multiply(law->damping_per_s, error_rate));
-    return vec3_sub(damped, vec3_multiply(law->stiffness_per_s2, tracking->error));
+    return vec3_sub(tracking->standing, vec3_gained(law->damping_per_s, point_twist));
 }
 
 vec3_t tracking_eta(const robot_t *robot, const tracking_law_t *law, const tracking_t *tracking, vec3_t twist)
 {
     const vec3_t z = kinematics_point_twist(robot, twist);
     const vec3_t a = output_acceleration(law, tracking, z);
-    return body_acceleration(robot, law->output, vec3_sub(a, vec3_turn(twist.z, z)));
+    return body_acceleration(robot, law->output, vec3_add_turn(a, -twist.z, z));
 }
 
 vec3_t tracking_eta_rate(const robot_t *robot, const tracking_law_t *law, const tracking_t *tracking, vec3_t twist,
@@ -49,12 +50,11 @@ vec3_t tracking_eta_rate(const robot_t *robot, const tracking_law_t *law, const 
     const vec3_t z_rate = kinematics_point_twist(robot, eta);
     const vec3_t a = output_acceleration(law, tracking, z);
     // ȧ = y⃛ref − K2 (a − ÿref) − K1 ẏ̃ (C3)
-    const vec3_t damped = vec3_multiply(law->damping_per_s, vec3_sub(a, tracking->acceleration));
-    const vec3_t pulled = vec3_multiply(law->stiffness_per_s2, vec3_sub(z, tracking->velocity));
-    const vec3_t a_rate = vec3_sub(vec3_sub(tracking->jerk, damped), pulled);
+    const vec3_t damped = vec3_sub(tracking->standing_rate, vec3_gained(law->damping_per_s, a));
+    const vec3_t a_rate = vec3_sub(damped, vec3_gained(law->stiffness_per_s2, z));
     // ∆ η̇ = Rᵀȧ − ω×a − ω̇×z − ω×ż (C4)
-    const vec3_t turned = vec3_add(vec3_turn(twist.z, vec3_add(a, z_rate)), vec3_turn(eta.z, z));
-    return body_acceleration(robot, law->output, vec3_sub(a_rate, turned));
+    const vec3_t turned = vec3_add_turn(vec3_add_turn(a_rate, -twist.z, vec3_add(a, z_rate)), -eta.z, z);
+    return body_acceleration(robot, law->output, turned);
 }
 
 mat3_t tracking_gradient(const robot_t *robot, const tracking_law_t *law, vec3_t twist)

@@ -22,15 +22,16 @@ typedef struct {
     vec3_t damping_per_s;    // K2
 } tracking_law_t;
 
-/// Tracking error and reference derivatives seen from the body: what (33) needs beside the twist.
+/// What (33) needs beside the twist, seen from the body but for the error. Rotated as sums: K1 and K2 look the same
+/// from the body.
 typedef struct {
-    vec3_t error;        // Rᵀ(y − yref), heading wrapped to ±π
-    vec3_t velocity;     // Rᵀ ẏref
-    vec3_t acceleration; // Rᵀ ÿref
-    vec3_t jerk;         // Rᵀ y⃛ref
+    rotation_t heading;
+    vec3_t error;         // y − yref in the world, heading wrapped to ±π
+    vec3_t standing;      // Rᵀ(ÿref + K2 ẏref − K1 ỹ): what the law wants of an output that stands still
+    vec3_t standing_rate; // Rᵀ(y⃛ref + K2 ÿref + K1 ẏref): likewise of ȧ
 } tracking_t;
 
-tracking_t tracking_from(const robot_t *robot, vec3_t pose, const reference_t *reference);
+tracking_t tracking_from(const robot_t *robot, const tracking_law_t *law, vec3_t pose, const reference_t *reference);
 
 /// η of (33): the body acceleration ν̇ that the law asks for at a twist ν. Theory (C2).
 vec3_t tracking_eta(const robot_t *robot, const tracking_law_t *law, const tracking_t *tracking, vec3_t twist);

@@ -6,16 +6,22 @@ typedef struct {
     float d0, d1, d2, d3;
 } taylor_t;
 
-static taylor_t taylor_at(const float *coefficient, float s)
+static inline taylor_t horner(taylor_t t, float s, float coefficient)
 {
-    taylor_t t = {coefficient[TRAJECTORY_COEFFICIENTS - 1], 0.0f, 0.0f, 0.0f};
-    for (int k = TRAJECTORY_COEFFICIENTS - 2; k >= 0; k--) {
-        t.d3 = t.d3 * s + t.d2;
-        t.d2 = t.d2 * s + t.d1;
-        t.d1 = t.d1 * s + t.d0;
-        t.d0 = t.d0 * s + coefficient[k];
-    }
-    return t;
+    return (taylor_t){t.d0 * s + coefficient, t.d1 * s + t.d0, t.d2 * s + t.d1, t.d3 * s + t.d2};
+}
+
+/// Written out, so that nothing is multiplied that is still zero.
+static inline taylor_t taylor_at(const float *c, float s)
+{
+    const float linear = c[7] * s + c[6];
+    const float slope = c[7] * s + linear;
+    const float square = linear * s + c[5];
+    taylor_t t = {square * s + c[4], slope * s + square, c[7] * s + slope, c[7]};
+    t = horner(t, s, c[3]);
+    t = horner(t, s, c[2]);
+    t = horner(t, s, c[1]);
+    return horner(t, s, c[0]);
 }
 
 static bool coefficients_are_valid(const float *coefficient)
@@ -50,30 +56,21 @@ void trajectory_advance(const trajectory_segment_t *segments, uint16_t count, tr
     cursor->time_us += left_us < rest_us ? left_us : rest_us;
 }
 
-static reference_t reference_in(const trajectory_segment_t *segment, uint32_t time_us)
+reference_t trajectory_reference(const trajectory_segment_t *segments, uint16_t count,
+                                 const trajectory_cursor_t *cursor)
 {
-    const float duration_s = (float)segment->duration_us * 1.0e-6f;
-    const float rate = 1.0f / duration_s;
-    const float s = (float)time_us / (float)segment->duration_us;
+    const trajectory_segment_t *segment = &segments[cursor->segment];
+    const bool at_end = cursor->segment + 1 == count && cursor->time_us == segment->duration_us;
+    const float inverse_per_us = 1.0f / (float)segment->duration_us;
+    const float s = (float)cursor->time_us * inverse_per_us;
+    const float rate = at_end ? 0.0f : 1.0e6f * inverse_per_us, rate2 = rate * rate;
     const taylor_t x = taylor_at(segment->coefficient[0], s);
     const taylor_t y = taylor_at(segment->coefficient[1], s);
     const taylor_t z = taylor_at(segment->coefficient[2], s);
     return (reference_t){
         .position = {x.d0, y.d0, z.d0},
         .velocity = vec3_scale(rate, (vec3_t){x.d1, y.d1, z.d1}),
-        .acceleration = vec3_scale(2.0f * rate * rate, (vec3_t){x.d2, y.d2, z.d2}),
-        .jerk = vec3_scale(6.0f * rate * rate * rate, (vec3_t){x.d3, y.d3, z.d3}),
+        .acceleration = vec3_scale(rate2 + rate2, (vec3_t){x.d2, y.d2, z.d2}),
+        .jerk = vec3_scale(6.0f * rate * rate2, (vec3_t){x.d3, y.d3, z.d3}),
     };
-}
-
-reference_t trajectory_reference(const trajectory_segment_t *segments, uint16_t count,
-                                 const trajectory_cursor_t *cursor)
-{
-    const trajectory_segment_t *segment = &segments[cursor->segment];
-    const reference_t reference = reference_in(segment, cursor->time_us);
-    const bool at_end = cursor->segment + 1 == count && cursor->time_us == segment->duration_us;
-    if (at_end) {
-        return (reference_t){.position = reference.position};
-    }
-    return reference;
 }

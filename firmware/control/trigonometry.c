@@ -3,6 +3,7 @@
 #include "trigonometry.h"
 
 #include <stdint.h>
+#include <string.h>
 
 // π/2 = QUARTER_HIGH + QUARTER_MIDDLE + QUARTER_LOW; the first two have few enough digits that a whole number of
 // quarter turns below 2^7 times them is exact.
@@ -15,32 +16,37 @@
 #define TURN_LOW 1.93530717958647693e-3f
 #define TURNS_PER_RAD 0.159154943f
 
-/// Nearest whole number; 0 for what is not a number or too large to have one.
-static int32_t nearest(float value)
+// 1.5 · 2^23: a float of this size has no digits behind the point, so that adding it rounds to the nearest whole
+// number, which then stands in the float's low bits, negative ones in two's complement.
+#define ROUNDING 12582912.0f
+
+static uint32_t bits_of(float value)
 {
-    const bool fits = fabsf(value) < 16777216.0f; // NaN does not
-    return fits ? (int32_t)(value + (value < 0.0f ? -0.5f : 0.5f)) : 0;
+    uint32_t bits;
+    memcpy(&bits, &value, sizeof bits);
+    return bits;
 }
 
 rotation_t rotation_of(float angle_rad)
 {
-    const int32_t quarters = nearest(angle_rad * QUARTERS_PER_RAD);
-    const float n = (float)quarters;
+    const float rounded = angle_rad * QUARTERS_PER_RAD + ROUNDING;
+    const uint32_t quarters = bits_of(rounded);
+    const float n = rounded - ROUNDING;
     const float x = ((angle_rad - n * QUARTER_HIGH) - n * QUARTER_MIDDLE) - n * QUARTER_LOW;
     const float x2 = x * x;
     const float sine = x + x * x2 * (-1.6666654611e-1f + x2 * (8.3321608736e-3f + x2 * -1.9515295891e-4f));
     const float cosine = 1.0f - 0.5f * x2 +
                          x2 * x2 * (4.166664568298827e-2f + x2 * (-1.388731625493765e-3f + x2 * 2.443315711809948e-5f));
-    const float s = (quarters & 1) != 0 ? cosine : sine;
-    const float c = (quarters & 1) != 0 ? sine : cosine;
+    const float s = (quarters & 1u) != 0 ? cosine : sine;
+    const float c = (quarters & 1u) != 0 ? sine : cosine;
     return (rotation_t){
-        .cosine = ((quarters + 1) & 2) != 0 ? -c : c,
-        .sine = (quarters & 2) != 0 ? -s : s,
+        .cosine = ((quarters + 1u) & 2u) != 0 ? -c : c,
+        .sine = (quarters & 2u) != 0 ? -s : s,
     };
 }
 
 float angle_wrap(float angle_rad)
 {
-    const float n = (float)nearest(angle_rad * TURNS_PER_RAD);
+    const float n = (angle_rad * TURNS_PER_RAD + ROUNDING) - ROUNDING;
     return (angle_rad - n * TURN_HIGH) - n * TURN_LOW;
 }

@@ -36,10 +36,10 @@ static inline vec3_t vec3_add_scaled(vec3_t a, float k, vec3_t b)
     return (vec3_t){a.x + k * b.x, a.y + k * b.y, a.z + k * b.z};
 }
 
-/// Entry by entry: a diagonal matrix times a vector.
-static inline vec3_t vec3_multiply(vec3_t a, vec3_t b)
+/// A diagonal matrix whose planar entries are alike times a vector.
+static inline vec3_t vec3_gained(vec3_t gains, vec3_t a)
 {
-    return (vec3_t){a.x * b.x, a.y * b.y, a.z * b.z};
+    return (vec3_t){gains.x * a.x, gains.x * a.y, gains.z * a.z};
 }
 
 static inline float vec3_sum(vec3_t a)
@@ -52,20 +52,6 @@ static inline float vec3_max_abs(vec3_t a)
     const float x = fabsf(a.x), y = fabsf(a.y), z = fabsf(a.z);
     const float xy = x > y ? x : y;
     return xy > z ? xy : z;
-}
-
-static inline bool vec3_is_finite(vec3_t a)
-{
-    return isfinite(a.x) && isfinite(a.y) && isfinite(a.z);
-}
-
-static inline vec3_t mat3_apply(const mat3_t *a, vec3_t b)
-{
-    return (vec3_t){
-        a->m[0][0] * b.x + a->m[0][1] * b.y + a->m[0][2] * b.z,
-        a->m[1][0] * b.x + a->m[1][1] * b.y + a->m[1][2] * b.z,
-        a->m[2][0] * b.x + a->m[2][1] * b.y + a->m[2][2] * b.z,
-    };
 }
 
 static inline vec3_t vec3_cross(vec3_t a, vec3_t b)
@@ -93,23 +79,20 @@ static inline vec3_t mat3_solve(const mat3_t *a, vec3_t b)
     return vec3_scale(inverse, determinants);
 }
 
-/// I + k A B
-static inline mat3_t mat3_identity_plus(float k, const mat3_t *a, const mat3_t *b)
+/// I + diag(k) A
+static inline mat3_t mat3_identity_plus(vec3_t k, const mat3_t *a)
 {
-    mat3_t sum;
-    for (int i = 0; i < 3; i++) {
-        for (int j = 0; j < 3; j++) {
-            const float product = a->m[i][0] * b->m[0][j] + a->m[i][1] * b->m[1][j] + a->m[i][2] * b->m[2][j];
-            sum.m[i][j] = (i == j ? 1.0f : 0.0f) + k * product;
-        }
-    }
-    return sum;
+    return (mat3_t){{
+        {1.0f + k.x * a->m[0][0], k.x * a->m[0][1], k.x * a->m[0][2]},
+        {k.y * a->m[1][0], 1.0f + k.y * a->m[1][1], k.y * a->m[1][2]},
+        {k.z * a->m[2][0], k.z * a->m[2][1], 1.0f + k.z * a->m[2][2]},
+    }};
 }
 
-/// Ω(turn_rate) a = ω×a of theory 'Full model': what a turning frame adds to the derivative of a planar vector.
-static inline vec3_t vec3_turn(float turn_rate, vec3_t a)
+/// a + Ω(turn_rate) b, Ω(ω) b = ω×b: with what a turning frame adds to the derivative of a planar vector.
+static inline vec3_t vec3_add_turn(vec3_t a, float turn_rate, vec3_t b)
 {
-    return (vec3_t){-turn_rate * a.y, turn_rate * a.x, 0.0f};
+    return (vec3_t){a.x - turn_rate * b.y, a.y + turn_rate * b.x, a.z};
 }
 
 #endif

@@ -222,6 +222,7 @@ class Floor(ctypes.Structure):
         ("linear", ctypes.c_bool),
         ("compliance_per_N", ctypes.c_float),
         ("friction_limit_N", ctypes.c_float),
+        ("intervals_per_N", ctypes.c_float),  # the firmware's own, like others at the end of a struct
     ]
 
 
@@ -241,6 +242,8 @@ class ControlParams(ctypes.Structure):
         ("observer_lag_s", ctypes.c_float),
         ("force_bound_N", ctypes.c_float),
         ("torque_bound_Nm", ctypes.c_float),
+        ("compliance_max_mps_per_N", ctypes.c_float),
+        ("layer_s_per_mps", ctypes.c_float),
     ]
 
 
@@ -251,6 +254,7 @@ class ControlState(ctypes.Structure):
         ("pose_rest", Vec3),
         ("twist", Vec3),
         ("wheel_force_N", Vec3),
+        ("specific_force", Vec3),
     ]
 
 
@@ -263,7 +267,7 @@ class ControlInput(ctypes.Structure):
 
 class ControlOutput(ctypes.Structure):
     _fields_ = [
-        *((name, Vec3) for name in ("torque_Nm", "mu_mps", "wheel_force_N", "twist", "eta", "error")),
+        *((name, Vec3) for name in ("torque_Nm", "mu_mps", "wheel_force_N", "specific_force", "twist", "eta", "error")),
         ("force_bounded", ctypes.c_bool),
         ("torque_bounded", ctypes.c_bool),
     ]
@@ -295,15 +299,28 @@ class Firmware:
             return call
 
         self.of_force = function("manifold_of_force", number, Vec3)
-        self.force = function("manifold_force", Vec3, Vec3)
-        self.force_rate = function("manifold_force_rate", Vec3, Vec3, Vec3)
+        self._force = function("manifold_force", Vec3)
+        rate = library.manifold_specific_force_rate
+        rate.argtypes, rate.restype = [Vec3, Vec3, Vec3], Vec3
+        self._specific_rate = rate
+        library.control_prepare.argtypes, library.control_prepare.restype = [pointer], None
+        self._prepare = library.control_prepare
         self._step = library.control_step
         self._step.argtypes, self._step.restype = [pointer, pointer, pointer, pointer], ctypes.c_bool
+
+    def force(self, twist: Array, acceleration: Array) -> Array:
+        """Return the wheel forces of a twist that changes at a rate."""
+        return self._force(acceleration + twist[2] * np.array([-twist[1], twist[0], 0.0]))
+
+    def force_rate(self, twist: Array, acceleration: Array, jerk: Array) -> Array:
+        """Return the rate of those where the acceleration changes, too."""
+        return self._force(from_c(self._specific_rate(*map(to_c, (twist, acceleration, jerk)))))
 
     def step(self, params: ControlParams, values: ControlInput, force_estimate: Array | None = None) -> ControlOutput:
         output, state = ControlOutput(), ControlState()
         if force_estimate is not None:
             state.force_estimate_N = to_c(force_estimate)
+        self._prepare(ctypes.byref(params))
         assert self._step(*map(ctypes.byref, (params, state, values, output)))
         return output
 

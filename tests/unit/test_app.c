@@ -786,7 +786,7 @@ static void test_gaps_add_up_and_start_forgets_them(void)
 /// From tick 1001 on only the wheel speeds; the pose of tick 1000 was the last.
 static void drive_without_pose(uint32_t ticks, float ahead_mps)
 {
-    const vec3_t wheels = mat3_apply(&omnibot.wheel_rate_of_twist, (vec3_t){ahead_mps, 0.0f, 0.0f});
+    const vec3_t wheels = wheels_of_body(&omnibot.wheel_rate_of_twist, (vec3_t){ahead_mps, 0.0f, 0.0f});
     for (uint32_t k = 1; k <= ticks; k++) {
         wheel_speed(wheels.x, wheels.y, wheels.z);
         sync(1000 + k);
@@ -895,7 +895,7 @@ static void test_missed_ticks_move_the_dead_reckoned_pose_as_far_as_driven_ones(
     make_moving();
     drive_without_pose(100, 0.5f);
     const float before_m = app.state.pose.value.x;
-    const vec3_t wheels = mat3_apply(&omnibot.wheel_rate_of_twist, (vec3_t){0.5f, 0.0f, 0.0f});
+    const vec3_t wheels = wheels_of_body(&omnibot.wheel_rate_of_twist, (vec3_t){0.5f, 0.0f, 0.0f});
     sync(1101);
     const float a_tick_m = app.state.pose.value.x - before_m;
 

@@ -12,6 +12,7 @@ static const double m = 1.903, Ic = 0.0132, Iw = 1.6e-5, L = 0.12, b = 0.12, r =
 static const double half_root3 = 0.86602540378443864676;
 static const double pi = 3.14159265358979323846;
 
+static const vec3_t zero = {0.0f, 0.0f, 0.0f};
 static control_params_t params;
 static control_state_t state;
 static control_input_t input;
@@ -30,10 +31,10 @@ static void move_steadily(vec3_t twist)
 {
     rest_at(0.0);
     const vec3_t z = kinematics_point_twist(&omnibot, twist);
-    input.wheel_speed_rad_per_s = mat3_apply(&omnibot.wheel_rate_of_twist, twist);
+    input.wheel_speed_rad_per_s = wheels_of_body(&omnibot.wheel_rate_of_twist, twist);
     input.reference.velocity = z;
-    input.reference.acceleration = vec3_turn(twist.z, z);
-    input.reference.jerk = vec3_turn(twist.z, vec3_turn(twist.z, z));
+    input.reference.acceleration = vec3_add_turn(zero, twist.z, z);
+    input.reference.jerk = vec3_add_turn(zero, twist.z, vec3_add_turn(zero, twist.z, z));
 }
 
 void setUp(void)
@@ -41,7 +42,7 @@ void setUp(void)
     params = (control_params_t){
         .robot = &omnibot,
         .order = 0,
-        .floor = {&omnibot.floor_curve, true, 0.01f, 5.0f},
+        .floor = {.curve = &omnibot.floor_curve, .linear = true, .compliance_per_N = 0.01f, .friction_limit_N = 5.0f},
         .delta_mps = 1.0e-3f,
         .speed_length_m = 1.0f,
         .law = {OUTPUT_POSTURE, {70.0f, 70.0f, 70.0f}, {23.0f, 23.0f, 23.0f}},
@@ -60,6 +61,7 @@ void tearDown(void)
 
 static void step(void)
 {
+    control_prepare(&params);
     TEST_ASSERT_TRUE(control_step(&params, &state, &input, &output));
 }
 
@@ -197,7 +199,7 @@ static void test_step_heading_just_above_minus_pi_reference_just_below_pi_turns_
 
 static void test_step_rolling_ahead_unasked_brakes(void)
 {
-    input.wheel_speed_rad_per_s = mat3_apply(&omnibot.wheel_rate_of_twist, (vec3_t){0.1f, 0.0f, 0.0f});
+    input.wheel_speed_rad_per_s = wheels_of_body(&omnibot.wheel_rate_of_twist, (vec3_t){0.1f, 0.0f, 0.0f});
     step();
     assert_pushes_ahead(-1.0);
 }
@@ -413,8 +415,9 @@ static void far_from_straight(void)
 
 static vec3_t wheel_force_at(vec3_t twist)
 {
-    const tracking_t tracking = tracking_from(&omnibot, input.pose, &input.reference);
-    return manifold_force(&omnibot, twist, tracking_eta(&omnibot, &params.law, &tracking, twist));
+    const tracking_t tracking = tracking_from(&omnibot, &params.law, input.pose, &input.reference);
+    const vec3_t eta = tracking_eta(&omnibot, &params.law, &tracking, twist);
+    return manifold_force(&omnibot, vec3_add_turn(eta, twist.z, twist));
 }
 
 /// c = ε (V + δ) with the encoders' V.
@@ -427,7 +430,7 @@ static float compliance(void)
 /// ν + c Jr⁻¹ λ(ν) − v_odo.
 static vec3_t residual_of(vec3_t twist)
 {
-    const vec3_t slip = mat3_apply(&omnibot.twist_of_contact_speed, wheel_force_at(twist));
+    const vec3_t slip = body_of_wheels(&omnibot.twist_of_contact_speed, wheel_force_at(twist));
     return vec3_sub(vec3_add_scaled(twist, compliance(), slip),
                     kinematics_odometry(&omnibot, input.wheel_speed_rad_per_s));
 }
@@ -666,7 +669,7 @@ static void test_step_observer_in_steady_force_agrees_with_exact_on_a_linear_flo
         TEST_ASSERT_FLOAT_WITHIN(1e-6f + 2.0f * slip * slip / speed, 0.0f, vec3_max_abs(vec3_sub(exact, output.twist)));
         // And it sits on the manifold: ν + ε (V(ν) + δ) Jr⁻¹ λ = v_odo.
         const float c = 0.01f * (kinematics_speed(output.twist, 1.0f) + 1e-3f);
-        const vec3_t slip_twist = mat3_apply(&omnibot.twist_of_contact_speed, wheel_force_at(output.twist));
+        const vec3_t slip_twist = body_of_wheels(&omnibot.twist_of_contact_speed, wheel_force_at(output.twist));
         const vec3_t left = vec3_sub(vec3_add_scaled(output.twist, c, slip_twist), odometry);
         TEST_ASSERT_FLOAT_WITHIN(3e-6f + slip * slip * slip * slip / (speed * speed * speed), 0.0f, vec3_max_abs(left));
     }
@@ -737,7 +740,8 @@ static void test_step_with_a_new_pose_does_not_look_at_that_of_the_state(void)
 static void assert_pose_has_moved_at(vec3_t acceleration)
 {
     const vec3_t twist = vec3_add_scaled(output.twist, 0.5e-3f, acceleration); // halfway
-    const vec3_t expected = kinematics_moved_pose((pose_sum_t){.value = input.pose}, twist, 1.0e-3f).value;
+    const vec3_t expected =
+        kinematics_moved_pose((pose_sum_t){.value = input.pose}, rotation_of(input.pose.z), twist, 1.0e-3f).value;
     TEST_ASSERT_FLOAT_WITHIN(1.2e-7f, 0.0f, vec3_max_abs(vec3_sub(expected, state.pose.value)));
 }
 
@@ -759,7 +763,7 @@ static void test_step_without_any_force_moves_the_pose_straight_on(void)
     params.force_bound_N = 0.0f;
     step();
     // A velocity that stays in the world turns back in the body: ν̇ = −ω×ν.
-    assert_pose_has_moved_at(vec3_turn(-output.twist.z, output.twist));
+    assert_pose_has_moved_at(vec3_add_turn(zero, -output.twist.z, output.twist));
 }
 
 static void test_step_without_poses_keeps_moving_the_pose(void)
@@ -915,6 +919,7 @@ static float *input_number(int i)
 static void assert_step_is_refused(void)
 {
     const control_state_t before = state;
+    control_prepare(&params);
     TEST_ASSERT_FALSE(control_step(&params, &state, &input, &output));
     assert_output_is_zero();
     TEST_ASSERT_EQUAL_MEMORY(&before, &state, sizeof state);
@@ -924,7 +929,8 @@ static void test_step_with_any_number_not_finite_is_refused_with_zeros(void)
 {
     const float bad[] = {NAN, -NAN, INFINITY, -INFINITY};
     for (int32_t order = 0; order <= CONTROL_OBSERVER; order++) {
-        for (int i = 0; i < 18; i++) {
+        const int looked_at = order == 0 ? 15 : 18; // order 0 has no use for the jerk
+        for (int i = 0; i < looked_at; i++) {
             for (int k = 0; k < 4; k++) {
                 move_steadily((vec3_t){0.3f, 0.2f, 0.5f});
                 params.order = order;
@@ -964,7 +970,7 @@ static void test_step_with_a_state_not_finite_is_refused_with_zeros(void)
 
     input.pose_is_new = true;
     step();
-    TEST_ASSERT_TRUE(vec3_is_finite(state.pose.value)); // a pose heals it
+    TEST_ASSERT_TRUE(isfinite(vec3_sum(state.pose.value))); // a pose heals it
 }
 
 static void test_step_twice_gives_the_same(void)

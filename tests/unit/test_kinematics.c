@@ -30,7 +30,7 @@ static void assert_vec3(double x, double y, double z, vec3_t actual, double tole
 
 static vec3_t wheels_of(float x, float y, float turn)
 {
-    return mat3_apply(&omnibot.wheel_rate_of_twist, (vec3_t){x, y, turn});
+    return wheels_of_body(&omnibot.wheel_rate_of_twist, (vec3_t){x, y, turn});
 }
 
 // ---- the wheels that a motion needs
@@ -55,11 +55,11 @@ static void test_wheels_stand_on_a_circle_a_third_of_a_turn_apart(void)
     // A wheel at p drives along d: its speed is d·(ν + ω×p). All turn forward in a left turn, so p lies a quarter turn
     // behind d; the places must be those of the paper's Fig. 1: 60°, 180°, −60° from body x.
     static const double angle[] = {60.0, 180.0, -60.0};
+    const vec3_t ahead = wheels_of(1.0f, 0.0f, 0.0f), side = wheels_of(0.0f, 1.0f, 0.0f);
+    const float by_x[] = {ahead.x, ahead.y, ahead.z}, by_y[] = {side.x, side.y, side.z};
     for (int wheel = 0; wheel < 3; wheel++) {
-        const float *rate = omnibot.wheel_rate_of_twist.m[wheel];
-        assert_near(cos(angle[wheel] * pi / 180.0) / r, rate[1], 3e-6);
-        assert_near(-sin(angle[wheel] * pi / 180.0) / r, rate[0], 3e-6);
-        assert_near(b / r, rate[2], 3e-7);
+        assert_near(cos(angle[wheel] * pi / 180.0) / r, by_y[wheel], 3e-6);
+        assert_near(-sin(angle[wheel] * pi / 180.0) / r, by_x[wheel], 3e-6);
     }
 }
 
@@ -195,6 +195,11 @@ static double speed_of(const double twist[3], const double rate[3], double lengt
     return sqrt(x * x + y * y + z * z);
 }
 
+static float speed_rate(vec3_t twist, vec3_t acceleration, float length_m)
+{
+    return kinematics_speed_rate(twist, kinematics_speed(twist, length_m), acceleration, length_m);
+}
+
 static void test_speed_rate_agrees_with_a_finite_difference(void)
 {
     static const double twist[][3] = {{0.3, -0.4, 1.2}, {-0.7, 0.1, -2.0}, {0.0, 0.0, 3.0}, {1e-3, 2e-3, 0.0}};
@@ -211,27 +216,27 @@ static void test_speed_rate_agrees_with_a_finite_difference(void)
             const vec3_t at = {(float)twist[i][0], (float)twist[i][1], (float)twist[i][2]};
             const vec3_t along = {(float)rate[i][0], (float)rate[i][1], (float)rate[i][2]};
 
-            assert_near(expected, kinematics_speed_rate(at, along, (float)length[k]), 1e-5 * (1.0 + fabs(expected)));
+            assert_near(expected, speed_rate(at, along, (float)length[k]), 1e-5 * (1.0 + fabs(expected)));
         }
     }
 }
 
 static void test_speed_rate_speeding_up_is_positive_and_braking_negative(void)
 {
-    assert_near(2.0, kinematics_speed_rate((vec3_t){0.0f, -0.5f, 0.0f}, (vec3_t){0.0f, -2.0f, 0.0f}, 1.0f), 1e-6);
-    assert_near(-2.0, kinematics_speed_rate((vec3_t){0.0f, -0.5f, 0.0f}, (vec3_t){0.0f, 2.0f, 0.0f}, 1.0f), 1e-6);
+    assert_near(2.0, speed_rate((vec3_t){0.0f, -0.5f, 0.0f}, (vec3_t){0.0f, -2.0f, 0.0f}, 1.0f), 1e-6);
+    assert_near(-2.0, speed_rate((vec3_t){0.0f, -0.5f, 0.0f}, (vec3_t){0.0f, 2.0f, 0.0f}, 1.0f), 1e-6);
 }
 
 static void test_speed_rate_at_rest_is_zero(void)
 {
-    assert_near(0.0, kinematics_speed_rate((vec3_t){0.0f, 0.0f, 0.0f}, (vec3_t){1.0f, 2.0f, 3.0f}, 1.0f), 0.0);
-    assert_near(0.0, kinematics_speed_rate((vec3_t){0.0f, 0.0f, 4.0f}, (vec3_t){1.0f, 2.0f, 3.0f}, 0.0f), 0.0);
+    assert_near(0.0, speed_rate((vec3_t){0.0f, 0.0f, 0.0f}, (vec3_t){1.0f, 2.0f, 3.0f}, 1.0f), 0.0);
+    assert_near(0.0, speed_rate((vec3_t){0.0f, 0.0f, 4.0f}, (vec3_t){1.0f, 2.0f, 3.0f}, 0.0f), 0.0);
 }
 
 static void test_speed_rate_too_slow_for_single_precision_is_finite(void)
 {
-    TEST_ASSERT_TRUE(isfinite(kinematics_speed_rate((vec3_t){1e-25f, 0.0f, 0.0f}, (vec3_t){1.0f, 0.0f, 0.0f}, 1.0f)));
-    TEST_ASSERT_TRUE(isfinite(kinematics_speed_rate((vec3_t){1e-22f, 0.0f, 0.0f}, (vec3_t){1.0f, 0.0f, 0.0f}, 1.0f)));
+    TEST_ASSERT_TRUE(isfinite(speed_rate((vec3_t){1e-25f, 0.0f, 0.0f}, (vec3_t){1.0f, 0.0f, 0.0f}, 1.0f)));
+    TEST_ASSERT_TRUE(isfinite(speed_rate((vec3_t){1e-22f, 0.0f, 0.0f}, (vec3_t){1.0f, 0.0f, 0.0f}, 1.0f)));
 }
 
 // ---- the moved pose
@@ -251,7 +256,7 @@ static void integrate(double pose[3], const double twist[3], double time)
 
 static vec3_t moved_pose(vec3_t pose, vec3_t twist, float time_s)
 {
-    return kinematics_moved_pose((pose_sum_t){.value = pose}, twist, time_s).value;
+    return kinematics_moved_pose((pose_sum_t){.value = pose}, rotation_of(pose.z), twist, time_s).value;
 }
 
 static void assert_moves_by(const double start[3], const double twist[3], double time, double tolerance)
@@ -314,7 +319,7 @@ static void test_moved_pose_over_many_small_ways_loses_none_of_them(void)
     // A way of 3.3 µm a tick, below half of what single precision resolves at 100 m, ten thousand times.
     pose_sum_t pose = {.value = {100.0f, -100.0f, 0.0f}};
     for (int k = 0; k < 10000; k++) {
-        pose = kinematics_moved_pose(pose, (vec3_t){3.3e-3f, -3.3e-3f, 0.0f}, 1.0e-3f);
+        pose = kinematics_moved_pose(pose, rotation_of(pose.value.z), (vec3_t){3.3e-3f, -3.3e-3f, 0.0f}, 1.0e-3f);
     }
     assert_vec3(100.033, -100.033, 0.0, pose.value, 8e-6);
 }
@@ -323,7 +328,7 @@ static void test_moved_pose_turning_slowly_for_long_loses_nothing(void)
 {
     pose_sum_t pose = {.value = {0.0f, 0.0f, 3.0f}};
     for (int k = 0; k < 100000; k++) {
-        pose = kinematics_moved_pose(pose, (vec3_t){0.0f, 0.0f, 0.01f}, 1.0e-3f);
+        pose = kinematics_moved_pose(pose, rotation_of(pose.value.z), (vec3_t){0.0f, 0.0f, 0.01f}, 1.0e-3f);
     }
     assert_near(3.0 + 1.0 - 2.0 * pi, pose.value.z, 2e-6);
 }

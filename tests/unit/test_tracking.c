@@ -208,7 +208,7 @@ static vec3_t single(const double value[3])
 static tracking_t tracking_of(const scene_t *scene)
 {
     const reference_t reference = {single(scene->y), single(scene->y1), single(scene->y2), single(scene->y3)};
-    return tracking_from(&omnibot, single(scene->pose), &reference);
+    return tracking_from(&omnibot, &law, single(scene->pose), &reference);
 }
 
 static vec3_t eta_of(const scene_t *scene)
@@ -234,20 +234,15 @@ static scene_t at_rest(double heading)
 
 // ---- the error
 
-static void test_error_behind_along_world_x_facing_ahead_is_negative_along_body_x(void)
+static void test_error_behind_along_world_x_is_negative_whatever_the_heading(void)
 {
-    scene_t scene = at_rest(0.0);
-    scene.y[0] += 0.1;
+    const double heading[] = {0.0, pi / 2.0, -2.0};
+    for (int i = 0; i < 3; i++) {
+        scene_t scene = at_rest(heading[i]);
+        scene.y[0] += 0.1;
 
-    assert_vec3((double[]){-0.1, 0.0, 0.0}, tracking_of(&scene).error, 1e-6);
-}
-
-static void test_error_behind_along_world_x_facing_left_is_positive_along_body_y(void)
-{
-    scene_t scene = at_rest(pi / 2.0);
-    scene.y[0] += 0.1;
-
-    assert_vec3((double[]){0.0, 0.1, 0.0}, tracking_of(&scene).error, 1e-6);
+        assert_vec3((double[]){-0.1, 0.0, 0.0}, tracking_of(&scene).error, 1e-6);
+    }
 }
 
 static void test_error_of_heading_right_of_the_reference_is_negative(void)
@@ -277,9 +272,11 @@ static void test_error_of_heading_against_a_reference_of_many_turns_takes_the_sh
     assert_vec3((double[]){0.0, 0.0, -0.05}, tracking_of(&scene).error, 1e-5);
 }
 
-static void test_reference_derivatives_are_seen_from_the_body(void)
+static void test_standing_output_is_wanted_to_follow_the_reference_seen_from_the_body(void)
 {
+    // Facing left: what points along the world's first axis points to the right of the body.
     scene_t scene = at_rest(pi / 2.0);
+    scene.y[0] += 0.5; // the point is half a metre behind
     scene.y1[0] = 1.0;
     scene.y2[1] = 2.0;
     scene.y3[0] = 3.0;
@@ -287,9 +284,9 @@ static void test_reference_derivatives_are_seen_from_the_body(void)
 
     const tracking_t tracking = tracking_of(&scene);
 
-    assert_vec3((double[]){0.0, -1.0, 0.0}, tracking.velocity, 1e-6);
-    assert_vec3((double[]){2.0, 0.0, 0.0}, tracking.acceleration, 1e-6);
-    assert_vec3((double[]){0.0, -3.0, 4.0}, tracking.jerk, 1e-6);
+    assert_vec3((double[]){-0.5, 0.0, 0.0}, tracking.error, 1e-6);
+    assert_vec3((double[]){2.0, -(23.0 * 1.0 + 70.0 * 0.5), 0.0}, tracking.standing, 1e-5);
+    assert_vec3((double[]){23.0 * 2.0, -(3.0 + 70.0 * 1.0), 4.0}, tracking.standing_rate, 1e-5);
 }
 
 // ---- η, by hand
@@ -492,12 +489,11 @@ static void test_gradient_of_the_point_at_random_states_agrees_with_a_difference
 int main(void)
 {
     UNITY_BEGIN();
-    RUN_TEST(test_error_behind_along_world_x_facing_ahead_is_negative_along_body_x);
-    RUN_TEST(test_error_behind_along_world_x_facing_left_is_positive_along_body_y);
+    RUN_TEST(test_error_behind_along_world_x_is_negative_whatever_the_heading);
     RUN_TEST(test_error_of_heading_right_of_the_reference_is_negative);
     RUN_TEST(test_error_of_heading_across_pi_takes_the_short_way);
     RUN_TEST(test_error_of_heading_against_a_reference_of_many_turns_takes_the_short_way);
-    RUN_TEST(test_reference_derivatives_are_seen_from_the_body);
+    RUN_TEST(test_standing_output_is_wanted_to_follow_the_reference_seen_from_the_body);
     RUN_TEST(test_eta_at_rest_on_the_reference_is_zero);
     RUN_TEST(test_eta_behind_along_x_accelerates_ahead_by_the_stiffness);
     RUN_TEST(test_eta_behind_along_y_accelerates_left_by_the_stiffness);
