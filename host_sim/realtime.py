@@ -26,9 +26,11 @@ from host_sim.trace import TraceRecorder
 from host_sim.trajectory import Trajectory
 
 # The plant's instants follow the firmware's clock, which may be another crystal: by this share of the phase error a
-# tick, and by no more than this.
+# tick, by no more than this, and only by errors of less than this share of a period. Larger ones are answers that came
+# late: to follow them would stretch time.
 PHASE_GAIN = 0.01
 PHASE_STEP_MAX_S = 5e-6
+PHASE_ERROR_MAX = 0.25
 
 WARM_UP_PERIODS = 50
 BACKLOG_FRAMES = 20  # are taken at a time: ten ticks
@@ -276,6 +278,8 @@ class _RealTimeDrive:
         if self.listener.counter != tick & 0xF:
             return 0.0
         error_s = self.listener.answered_s - instant_s - 0.5 * self.period_s
+        if abs(error_s) > PHASE_ERROR_MAX * self.period_s:
+            return 0.0
         return max(-PHASE_STEP_MAX_S, min(PHASE_STEP_MAX_S, PHASE_GAIN * error_s))
 
     def run(self) -> tuple[Status, str]:

@@ -162,6 +162,15 @@ def test_plant_follows_a_firmware_with_a_faster_clock(monkeypatch: pytest.Monkey
     assert timing["round_trip_us"]["mean"] == pytest.approx(500.0, abs=150.0)
 
 
+def test_simulator_that_is_often_late_does_not_stretch_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("test_realtime.PATH", PathRequest("rhombus", 0.5, "rounded", 2.0, 3.0, 0.3))
+    late_s = PERIOD_S * np.random.default_rng(1).uniform(0.0, 1.2, 3001)
+    driven = by_the_clock(monkeypatch, ClockedBus(stalls=dict(enumerate(late_s.tolist()))))
+    assert driven.status is Status.COMPLETED
+    # To follow the late answers as if they were the firmware's clock would leave the plant behind its reference: 1.5 mm.
+    assert np.abs(driven.trace.point - driven.trace.reference_point).max() < 1e-4
+
+
 def test_realtime_needs_a_firmware_that_can(monkeypatch: pytest.MonkeyPatch) -> None:
     with InprocBus() as bus:
         link = Link(bus, Codec())
