@@ -109,6 +109,10 @@ void app_set_wheel_speed(app_t *app, vec3_t rad_per_s);
 /// What the motors have to give. False, and zeros, unless the robot drives its own motors: then their bridges are off.
 bool app_motor_torque(const app_t *app, vec3_t *torque_Nm);
 
+/// The motors can't give it: FAULT_SUPPLY, too little voltage, or FAULT_BRIDGE, a bridge has shut itself off. A fault
+/// while the robot drives them, else nothing.
+void app_note_motor_fault(app_t *app, uint8_t fault);
+
 /// How long a step took, frames included; goes into TIMING.
 void app_note_step_time(app_t *app, uint32_t step_ns);
 

@@ -239,3 +239,10 @@ bool app_motor_torque(const app_t *app, vec3_t *torque_Nm)
     *torque_Nm = on ? app->torque_Nm : (vec3_t){0};
     return on;
 }
+
+void app_note_motor_fault(app_t *app, uint8_t fault)
+{
+    if (app_motor_torque(app, &(vec3_t){0})) {
+        raise_fault(app, fault);
+    }
+}

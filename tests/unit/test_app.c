@@ -1647,6 +1647,35 @@ static void test_motors_get_the_torque_of_the_last_step_while_tracking_only(void
     TEST_ASSERT_FLOAT_WITHIN(0.0f, 0.0f, vec3_max_abs(torque));
 }
 
+static void test_motors_that_cannot_give_the_torque_are_a_fault(void)
+{
+    static const uint8_t faults[] = {FAULT_SUPPLY, FAULT_BRIDGE};
+    for (size_t i = 0; i < sizeof faults; i++) {
+        vec3_t torque;
+        make_motors_run();
+
+        app_note_motor_fault(&app, faults[i]);
+        look();
+
+        TEST_ASSERT_EQUAL_UINT8(MODE_FAULT, got.status.mode);
+        TEST_ASSERT_EQUAL_UINT8(faults[i], got.status.fault);
+        TEST_ASSERT_FALSE(app_motor_torque(&app, &torque));
+    }
+}
+
+static void test_motors_that_nobody_drives_are_no_fault(void)
+{
+    make_realtime();
+    app_note_motor_fault(&app, FAULT_SUPPLY);
+    assert_still_tracking();
+
+    app_init(&app, &omnibot, NODE, board);
+    app_note_motor_fault(&app, FAULT_SUPPLY);
+
+    TEST_ASSERT_EQUAL_UINT8(MODE_IDLE, app.mode);
+    TEST_ASSERT_EQUAL_UINT8(FAULT_NONE, app.fault);
+}
+
 static void test_bus_drives_never_enable_the_motors(void)
 {
     vec3_t torque = {1.0f, 1.0f, 1.0f};
@@ -1838,6 +1867,8 @@ int main(void)
     RUN_TEST(test_one_overrun_too_long_is_a_fault);
     RUN_TEST(test_host_silent_for_more_than_a_tenth_of_a_second_is_a_fault);
     RUN_TEST(test_motors_get_the_torque_of_the_last_step_while_tracking_only);
+    RUN_TEST(test_motors_that_cannot_give_the_torque_are_a_fault);
+    RUN_TEST(test_motors_that_nobody_drives_are_no_fault);
     RUN_TEST(test_bus_drives_never_enable_the_motors);
     RUN_TEST(test_wheel_speeds_of_the_bus_are_not_taken_by_a_robot_with_motors);
     RUN_TEST(test_wheel_speeds_of_the_port_are_not_taken_without_motors);
