@@ -53,6 +53,17 @@ class Parameter:
 
 
 @dataclass(frozen=True)
+class Motor:
+    """A brushed motor behind a gear, with an encoder on its shaft (symbols of firmware/ports/stm32f405/motor.h)."""
+
+    resistance_Ohm: float  # R
+    torque_constant_Nm_per_A: float  # kt, of the motor's shaft
+    gear_ratio: float  # N
+    supply_nominal_V: float
+    encoder_counts: float  # a turn of the motor's shaft
+
+
+@dataclass(frozen=True)
 class Robot:
     """Geometry, inertia, traction and limits of one robot, in SI units (symbols of the paper in brackets)."""
 
@@ -68,6 +79,7 @@ class Robot:
     magic_curvature: float  # Ey
     torque_limit_Nm: float
     control_period_s: float
+    motor: Motor
     parameters: tuple[Parameter, ...]
 
     @cached_property
@@ -122,6 +134,13 @@ def load_robot(path: Path = ROBOT_FILE) -> Robot:
         magic_curvature=value("traction", "magic_curvature"),
         torque_limit_Nm=value("motor", "torque_limit"),
         control_period_s=value("timing", "control_period"),
+        motor=Motor(
+            resistance_Ohm=value("motor", "resistance"),
+            torque_constant_Nm_per_A=value("motor", "torque_constant"),
+            gear_ratio=value("motor", "gear_ratio"),
+            supply_nominal_V=value("motor", "supply_nominal"),
+            encoder_counts=value("motor", "encoder_counts"),
+        ),
         parameters=tuple(_parameter(entry) for entry in data.get("parameter", [])),
     )
 

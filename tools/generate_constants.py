@@ -2,7 +2,7 @@
 """Write the C constants of a robot file: generate_constants.py ROBOT.toml OUTPUT_FOLDER.
 
 robot_constants.c holds the robot and the manifold's constant matrices (firmware/control/THEORY.md), computed in double;
-parameter_table.h and .c hold the parameters that can be set over CAN.
+motor_constants.c holds the board's motors; parameter_table.h and .c hold the parameters that can be set over CAN.
 """
 
 import sys
@@ -103,6 +103,20 @@ def constants_source(robot: Robot) -> str:
     return '#include "robot.h"\n\nconst robot_t omnibot = {\n' + "\n".join(lines) + "\n};\n"
 
 
+def motor_source(robot: Robot) -> str:
+    """Return motor_constants.c: the motors of the board (firmware/ports/stm32f405/motor.h)."""
+    motor = robot.motor
+    fields = [
+        ("resistance_Ohm", motor.resistance_Ohm),
+        ("torque_constant_Nm_A", motor.torque_constant_Nm_per_A),
+        ("gear_ratio", motor.gear_ratio),
+        ("supply_nominal_V", motor.supply_nominal_V),
+        ("encoder_counts", motor.encoder_counts * motor.gear_ratio),
+    ]
+    lines = [f"    .{name} = {c_float(number)}," for name, number in fields]
+    return '#include "motor.h"\n\nconst motor_t omnibot_motor = {\n' + "\n".join(lines) + "\n};\n"
+
+
 def table_header(parameters: tuple[Parameter, ...]) -> str:
     """Return parameter_table.h: an index a parameter."""
     names = "\n".join(f"    PARAMETER_{p.name.upper()} = {p.index}, // {p.unit}; {p.source}" for p in parameters)
@@ -126,7 +140,7 @@ def table_source(parameters: tuple[Parameter, ...]) -> str:
 
 
 def main() -> None:
-    """Generate robot_constants.c, parameter_table.h and parameter_table.c."""
+    """Generate robot_constants.c, motor_constants.c, parameter_table.h and parameter_table.c."""
     if len(sys.argv) != 3:
         sys.exit("usage: generate_constants.py ROBOT.toml OUTPUT_FOLDER")
     source, folder = Path(sys.argv[1]), Path(sys.argv[2])
@@ -139,6 +153,7 @@ def main() -> None:
     note = NOTE.format(source=source.name)
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "robot_constants.c").write_text(note + constants_source(robot), encoding="utf-8")
+    (folder / "motor_constants.c").write_text(note + motor_source(robot), encoding="utf-8")
     (folder / "parameter_table.h").write_text(note + table_header(robot.parameters), encoding="utf-8")
     (folder / "parameter_table.c").write_text(note + table_source(robot.parameters), encoding="utf-8")
 
