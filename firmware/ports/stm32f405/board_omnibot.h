@@ -10,12 +10,26 @@
 #define BOARD_CRYSTAL_MHz 8
 #define BOARD_UART_BITS_PER_S 1000000
 
-// The bridges are off while this is low; a resistor on the board holds it low through a reset.
-#define BOARD_BRIDGE_ENABLE_PORT gpio_b
-#define BOARD_BRIDGE_ENABLE_PIN 15
+// Below it the motors are not driven: 12 V nominal, three lithium cells at 3.0 V.
+#define BOARD_SUPPLY_MINIMUM_V 9.0f
+
+// The battery through 100 kOhm and 10 kOhm, 12 bits for 3.3 V.
+#define BOARD_ADC                                                                                                      \
+    {                                                                                                                  \
+        .channel = 10, .volt_per_bit = 3.3f / 4096.0f * (100.0f + 10.0f) / 10.0f                                       \
+    }
 
 #define BOARD_LED_PORT gpio_c
 #define BOARD_LED_PIN 5
+
+// The bridges are off while the enable line is low; a resistor on the board holds it low through a reset. Signs: see
+// 'One wheel at a time' in README.md.
+#define BOARD_WHEELS                                                                                                   \
+    {                                                                                                                  \
+        .encoder = {{&tim5, 32, 1}, {&tim3, 16, 1}, {&tim4, 16, 1}},                                                   \
+        .direction = {{&gpio_b, 12}, {&gpio_b, 13}, {&gpio_b, 14}}, .forwards = {1, 1, 1}, .enable = {&gpio_b, 15},    \
+        .pwm = &tim8, .duty_max = 0.95f,                                                                               \
+    }
 
 // The clocks of everything that is named here.
 #define BOARD_AHB1_CLOCKS (RCC_AHB1ENR_GPIO(0) | RCC_AHB1ENR_GPIO(1) | RCC_AHB1ENR_GPIO(2))

@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: MIT
 #include "clock.h"
 
+#include "messages.h"
+
 // Waits, at the 16 MHz that the core runs from out of reset. The data sheet gives a crystal 2 ms (5.3.8) and the PLL
 // 0.3 ms at most (5.3.11); a switch takes a few cycles.
 #define CRYSTAL_POLLS WAIT_POLLS(20000, 16)
@@ -55,10 +57,10 @@ static bool switch_to_pll(rcc_registers_t *clocks, flash_registers_t *flash)
     return false;
 }
 
-static clock_tree_t tree_of(clock_source_t source)
+static clock_tree_t tree_of(uint8_t source)
 {
-    const uint32_t core_Hz = source == CLOCK_HSI ? HSI_MHz * 1000000u : CORE_MHz * 1000000u;
-    const bool divided = source != CLOCK_HSI;
+    const uint32_t core_Hz = source == CLOCK_SOURCE_HSI ? HSI_MHz * 1000000u : CORE_MHz * 1000000u;
+    const bool divided = source != CLOCK_SOURCE_HSI;
     return (clock_tree_t){
         .source = source,
         .core_Hz = core_Hz,
@@ -71,16 +73,16 @@ static clock_tree_t tree_of(clock_source_t source)
 clock_tree_t clock_start(rcc_registers_t *clocks, flash_registers_t *flash, uint32_t crystal_MHz)
 {
     if ((reg_read(&clocks->cr) & RCC_CR_HSIRDY) == 0) {
-        return tree_of(CLOCK_NOT_THERE); // we are running from it
+        return tree_of(CLOCK_SOURCE_UNKNOWN); // we are running from it
     }
     const bool crystal = start_crystal(clocks);
     if (!start_pll(clocks, crystal ? crystal_MHz : HSI_MHz, crystal ? RCC_PLLCFGR_SRC_HSE : 0) ||
         !switch_to_pll(clocks, flash)) {
-        return tree_of(CLOCK_HSI);
+        return tree_of(CLOCK_SOURCE_HSI);
     }
     if (!crystal) {
-        return tree_of(CLOCK_HSI_PLL);
+        return tree_of(CLOCK_SOURCE_HSI_PLL);
     }
     reg_set(&clocks->cr, RCC_CR_CSSON); // a crystal that stops is an NMI
-    return tree_of(CLOCK_CRYSTAL);
+    return tree_of(CLOCK_SOURCE_HSE_PLL);
 }

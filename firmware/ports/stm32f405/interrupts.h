@@ -4,7 +4,10 @@
 #define OMNIBOT_STM32F405_INTERRUPTS_H
 
 void reset_handler(void);
+void fault_entry(void);
 void usart1_interrupt(void);
+void can1_rx0_interrupt(void);
+void can1_rx1_interrupt(void);
 void systick_interrupt(void);
 
 #endif

@@ -87,7 +87,6 @@ REGISTER_AT(flash_registers_t, optcr, 0x14);
 #define FLASH_ACR_PRFTEN (1u << 8)
 #define FLASH_ACR_ICEN (1u << 9)
 #define FLASH_ACR_DCEN (1u << 10)
-#define FLASH_OPTCR_BOR_LEV(word) (((word) >> 2) & 3u)
 
 // ---- RM0090 5.4 Power control registers
 

@@ -23,6 +23,11 @@ bool usart_send(usart_t *usart, uint8_t byte)
     return fits;
 }
 
+bool usart_has_received(usart_t *usart)
+{
+    return ring_room(&usart->received) < RING_BYTES;
+}
+
 bool usart_receive(usart_t *usart, uint8_t *byte)
 {
     return ring_take(&usart->received, byte);

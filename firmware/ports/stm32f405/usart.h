@@ -23,6 +23,9 @@ bool usart_send(usart_t *usart, uint8_t byte);
 /// Takes a byte that came; false when there is none.
 bool usart_receive(usart_t *usart, uint8_t *byte);
 
+/// Whether a byte waits to be taken.
+bool usart_has_received(usart_t *usart);
+
 /// The interrupt's work: a byte in, and bytes out as long as the transmitter takes them. It may be called from
 /// elsewhere while interrupts are masked; QEMU has no interrupt for an empty transmitter, so the main loop does.
 void usart_interrupt(usart_t *usart);
