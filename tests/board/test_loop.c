@@ -8,6 +8,7 @@
 #include "model.h"
 #include "unity.h"
 
+#include <math.h>
 #include <string.h>
 
 enum { NODE = 3, ENABLE_PIN = 15, SEGMENT_BYTES = 100, FRAME_BYTES = 6, CYCLES_A_TICK = 168000 };
@@ -308,6 +309,10 @@ static void test_emulator_without_a_clock_tree_starts_all_the_same(void)
     TEST_ASSERT_EQUAL_UINT32(167999, model_get(&systick.load));
     TEST_ASSERT_EQUAL_UINT8(CLOCK_SOURCE_UNKNOWN, board_health(&loop.board).clock_source);
     never_switched_on();
+    supply(12.0f);
+    pass(SUPPLY_LOW_PERIODS + 1);
+    TEST_ASSERT_TRUE(isnan(board_health(&loop.board).supply_V)); // what its converter says is not believed
+    TEST_ASSERT_EQUAL_UINT8(FAULT_SUPPLY, board_motor_fault(&loop.board));
 }
 
 static void test_crash_of_the_run_before_is_told_once(void)

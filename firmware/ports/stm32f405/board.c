@@ -115,10 +115,13 @@ uint32_t board_periods(board_t *board)
     return passed;
 }
 
+/// An emulator without a clock tree makes its conversions up: there the voltage stays unknown, and the motors off.
 void board_tick(board_t *board)
 {
     can_tick(&board->can);
-    adc_tick(&board->adc);
+    if (board->clock.source != CLOCK_SOURCE_UNKNOWN) {
+        adc_tick(&board->adc);
+    }
     supply_tick(&board->supply, board->adc.battery_V);
 }
 
