@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: MIT
 #include "slcan.h"
 
-#include <string.h>
-
 enum {
     FLAG_DATA_LOST = 1u << 3,
     ID_BITS = 11,
@@ -12,7 +10,7 @@ enum {
     ANSWER_RESERVE = 16,                                           // room that frames leave to answers
 };
 
-static const char CR = '\r', BELL = '\a';
+static const char CR = '\r';
 
 void slcan_init(slcan_t *slcan)
 {
@@ -44,26 +42,20 @@ bool slcan_next(slcan_t *slcan, uint8_t *byte)
 }
 
 /// An answer goes out whole or not at all.
-static void answer(slcan_t *slcan, const char *text, char end)
+static void answer(slcan_t *slcan, const char *text, uint8_t chars)
 {
-    const size_t length = strlen(text);
-    if (length + 1u > room(slcan)) {
+    if (chars > room(slcan)) {
         slcan->flags |= FLAG_DATA_LOST;
         return;
     }
-    for (size_t i = 0; i < length; i++) {
+    for (uint8_t i = 0; i < chars; i++) {
         push(slcan, text[i]);
     }
-    push(slcan, end);
 }
 
 static void answer_whether(slcan_t *slcan, bool done)
 {
-    if (done) {
-        answer(slcan, "", CR);
-    } else {
-        answer(slcan, "", BELL);
-    }
+    answer(slcan, done ? "\r" : "\a", 1);
 }
 
 // ---- hexadecimal
@@ -153,9 +145,9 @@ static bool set_channel(slcan_t *slcan, slcan_channel_t wanted)
 
 static void answer_flags(slcan_t *slcan)
 {
-    const char text[] = {'F', hex_digit((uint32_t)slcan->flags >> 4), hex_digit(slcan->flags), '\0'};
+    const char text[] = {'F', hex_digit((uint32_t)slcan->flags >> 4), hex_digit(slcan->flags), CR};
     slcan->flags = 0;
-    answer(slcan, text, CR);
+    answer(slcan, text, sizeof text);
 }
 
 /// The commands of one letter.
@@ -172,10 +164,10 @@ static void act_on_letter(slcan_t *slcan, char letter)
         answer_whether(slcan, set_channel(slcan, SLCAN_CLOSED));
         break;
     case 'V':
-        answer(slcan, "V0100", CR); // hardware 1, software 0
+        answer(slcan, "V0100\r", 6); // hardware 1, software 0
         break;
     case 'N':
-        answer(slcan, "NOMNI", CR);
+        answer(slcan, "NOMNI\r", 6);
         break;
     case 'F':
         answer_flags(slcan);
@@ -214,7 +206,7 @@ static bool act_on_line(slcan_t *slcan, frame_t *frame)
         act_on_command(slcan);
         return false;
     }
-    answer(slcan, "z", CR);
+    answer(slcan, "z\r", 2);
     return true;
 }
 
