@@ -116,8 +116,8 @@ bool slcan_put(slcan_t *slcan, const frame_t *frame)
 static bool parse_frame(const slcan_t *slcan, frame_t *frame)
 {
     uint16_t id, length, byte;
-    if (slcan->line_chars < FRAME_HEAD_CHARS || slcan->line[0] != 't' || !parse_hex(&slcan->line[1], ID_DIGITS, &id) ||
-        id >> ID_BITS != 0 || !parse_hex(&slcan->line[1 + ID_DIGITS], 1, &length) || length > FRAME_DATA_BYTES ||
+    if (slcan->line[0] != 't' || !parse_hex(&slcan->line[1], ID_DIGITS, &id) || id >> ID_BITS != 0 ||
+        !parse_hex(&slcan->line[1 + ID_DIGITS], 1, &length) || length > FRAME_DATA_BYTES ||
         slcan->line_chars != FRAME_HEAD_CHARS + 2 * length) {
         return false;
     }

@@ -20,8 +20,8 @@
 
 #include <stdbool.h>
 
-// A line holds the longest command there is, an extended frame; a queue some ten frames.
-enum { SLCAN_LINE_CHARS = 26, SLCAN_QUEUE_BYTES = 256 };
+// A line holds the longest command that we take, a full frame; a queue some ten frames.
+enum { SLCAN_LINE_CHARS = 21, SLCAN_QUEUE_BYTES = 256 };
 
 typedef enum { SLCAN_CLOSED, SLCAN_OPEN, SLCAN_LISTENING } slcan_channel_t;
 

@@ -343,12 +343,12 @@ static void test_put_until_full_queues_whole_frames_and_leaves_room_for_answers(
         }
         TEST_ASSERT_FALSE(slcan_put(&slcan, &full));
         TEST_ASSERT_GREATER_OR_EQUAL_INT(10, count);
-        feed("V\r");
+        feed("\r\r\r\r\r\r\r\r\r\r\r\r\r\r\r\r"); // as many as sixteen answers fit
         const char *text = drain();
         for (int i = 0; i < count; i++, text += 22) {
             TEST_ASSERT_EQUAL_STRING_LEN("t05080000000000000000\r", text, 22);
         }
-        TEST_ASSERT_EQUAL_STRING("V0100\r", text);
+        TEST_ASSERT_EQUAL_STRING("\r\r\r\r\r\r\r\r\r\r\r\r\r\r\r\r", text);
         answer_to("\r"); // one place on
     }
 }
@@ -364,6 +364,16 @@ static void test_answers_that_do_not_fit_are_dropped_whole_and_told(void)
         TEST_ASSERT_EQUAL_STRING_LEN("V0100\r", text, 6);
     }
     TEST_ASSERT_EQUAL_STRING("F08\rF00\r", answer_to("F\rF\r"));
+}
+
+static void test_queue_fills_to_its_last_byte_and_no_further(void)
+{
+    for (int i = 0; i < SLCAN_QUEUE_BYTES; i++) {
+        feed("\r");
+    }
+    feed("V\r\r");
+    TEST_ASSERT_EQUAL_size_t(SLCAN_QUEUE_BYTES, strlen(drain()));
+    TEST_ASSERT_EQUAL_STRING("F08\r", answer_to("F\r"));
 }
 
 // ---- hosts
@@ -411,6 +421,7 @@ int main(void)
     RUN_TEST(test_put_of_what_is_no_classic_frame_is_refused);
     RUN_TEST(test_put_until_full_queues_whole_frames_and_leaves_room_for_answers);
     RUN_TEST(test_answers_that_do_not_fit_are_dropped_whole_and_told);
+    RUN_TEST(test_queue_fills_to_its_last_byte_and_no_further);
     RUN_TEST(test_session_of_python_can_is_answered_as_it_tolerates);
     RUN_TEST(test_session_of_slcand_is_answered);
     return UNITY_END();
