@@ -49,7 +49,7 @@ enum { WAIT_CYCLES_PER_POLL_MIN = 4 };
 #define WAIT_POLLS(time_us, clock_MHz) ((uint32_t)(time_us) * (uint32_t)(clock_MHz) / WAIT_CYCLES_PER_POLL_MIN)
 
 /// Polls a register until the masked bits have the value; false when they have not after so many polls. Nothing else in
-/// this port waits for a register (tests/board/test_waits.py).
+/// this port waits for a register (tools/check-waits).
 static inline bool wait_until(const reg_t *reg, uint32_t mask, uint32_t value, uint32_t polls)
 {
     for (uint32_t poll = 0; poll < polls; poll++) {

@@ -47,7 +47,7 @@ static bool feed(link_t *link, uint8_t byte, frame_t *frame)
 static bool receive_by_uart(link_t *link, frame_t *frame)
 {
     uint8_t byte;
-    while (usart_receive(link->usart, &byte)) {
+    for (uint32_t taken = 0; taken < RING_BYTES && usart_receive(link->usart, &byte); taken++) {
         if (feed(link, byte, frame)) {
             return true;
         }
@@ -99,7 +99,10 @@ bool link_flush(link_t *link)
         link->holding = !pass_on(link);
     }
     uint8_t byte;
-    while (usart_has_room(link->usart) && slcan_next(&link->slcan, &byte)) {
+    for (uint32_t moved = 0; moved < SLCAN_QUEUE_BYTES && usart_has_room(link->usart); moved++) {
+        if (!slcan_next(&link->slcan, &byte)) {
+            break;
+        }
         usart_send(link->usart, byte);
     }
     return link->holding && (link->line == LINE_CAN || link->slcan.channel != SLCAN_CLOSED);

@@ -6,7 +6,10 @@
 static bool send_frames(loop_t *loop)
 {
     frame_t frame;
-    while (link_has_room(&loop->board.link) && app_transmit(&loop->app, &frame)) {
+    for (uint32_t sent = 0; sent < OUTBOX_FRAMES && link_has_room(&loop->board.link); sent++) {
+        if (!app_transmit(&loop->app, &frame)) {
+            break;
+        }
         link_send(&loop->board.link, &frame);
     }
     const bool waiting = link_flush(&loop->board.link);
