@@ -1,5 +1,6 @@
 """tools/check-target: passes the firmware as it is, and finds each thing planted into it."""
 
+import re
 import shutil
 import subprocess
 from pathlib import Path
@@ -8,6 +9,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 CHECK = ROOT / "tools" / "check-target"
+LINKER_SCRIPT = ROOT / "firmware" / "ports" / "stm32f405" / "stm32f405.ld"
 HOST_LIBRARY = ROOT / "build" / "host" / "libomnibot.so"
 FLAGS = "-mcpu=cortex-m4 -mthumb -mfpu=fpv4-sp-d16 -mfloat-abi=hard -O2 -ffunction-sections -fdata-sections -fno-pic"
 
@@ -84,9 +86,9 @@ def target(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def copy(target: Path, tmp_path: Path) -> Path:
-    """A copy of the archives to plant something into."""
-    for archive in target.glob("*.a"):
-        shutil.copy(archive, tmp_path)
+    """A copy of the archives and the image to plant something into."""
+    for file in (*target.glob("*.a"), target / "omnibot.elf", target / "omnibot.map"):
+        shutil.copy(file, tmp_path)
     return tmp_path
 
 
@@ -95,6 +97,16 @@ def plant(folder: Path, source: str, flags: str = FLAGS, archive: str = "libapp.
     (folder / "planted.c").write_text(source, encoding="utf-8")
     subprocess.run(["arm-none-eabi-gcc", *flags.split(), "-c", "planted.c"], cwd=folder, check=True)
     subprocess.run(["arm-none-eabi-ar", "r", archive, "planted.o"], cwd=folder, check=True)
+
+
+def plant_image(folder: Path, source: str, object_name: str = "planted.o", flags: str = FLAGS) -> None:
+    """Link an image of one source, as the board's is linked, in the place of the board's."""
+    start = "void reset_handler(void) { f(); }\n"
+    (folder / "planted.c").write_text(f"{source}\n{start}", encoding="utf-8")
+    gcc = ["arm-none-eabi-gcc", *flags.split()]
+    subprocess.run([*gcc, "-c", "planted.c", "-o", object_name], cwd=folder, check=True)
+    link = ["-T", LINKER_SCRIPT, "-nostartfiles", "-Wl,--gc-sections", "-Wl,-Map=omnibot.map", "-o", "omnibot.elf"]
+    subprocess.run([*gcc, *link, object_name, "-lm"], cwd=folder, check=True)
 
 
 def failed_lines(result: subprocess.CompletedProcess[str]) -> list[str]:
@@ -111,7 +123,7 @@ def test_firmware_passes_and_says_how_much_was_looked_at(target: Path) -> None:
 
     assert result.returncode == 0, result.stdout + result.stderr
     lines = result.stdout.splitlines()
-    assert len(lines) == 7
+    assert len(lines) == 10
     for line in lines:
         assert line.startswith("ok   ")
         assert line.endswith("looked at)")
@@ -139,6 +151,105 @@ def test_planted_violation_is_named(copy: Path, archive: str, source: str, symbo
     assert result.returncode == 1
     assert any(line.startswith(f"FAIL {title}") for line in failed_lines(result)), result.stdout
     assert any(line.startswith(f"     {archive}(planted.o): {symbol}") for line in result.stdout.splitlines())
+
+
+IMAGES = {
+    "heap": (
+        "#include <stdlib.h>\n#include <stddef.h>\nvoid *_sbrk(ptrdiff_t n) { return (void *)n; }\n"
+        "void f(void) { *(volatile char *)malloc(8) = 0; }",
+        "planted.o",
+        "nothing from outside in the image",
+        "omnibot.elf: libc.a(lib_a-malloc.o)",
+    ),
+    "double precision": (
+        "volatile double x; void f(void) { x = x * 1.1; }",
+        "main.c.obj",
+        "nothing from outside in the image",
+        "omnibot.elf: libgcc.a(_arm_muldf3.o)",
+    ),
+    "maths library": (
+        "#include <math.h>\nvolatile float x; void f(void) { x = tanhf(x); }",
+        "main.c.obj",
+        "nothing from outside in the image",
+        "omnibot.elf: libm.a(lib_a-sf_tanh.o)",
+    ),
+    "semihosting": (
+        '__attribute__((noinline)) void g(void) { __asm__ volatile("bkpt 0xab"); } void f(void) { g(); }',
+        "planted.o",
+        "no call of a debugger in the image",
+        "omnibot.elf: g",
+    ),
+    "supervisor call": (
+        '__attribute__((noinline)) void g(void) { __asm__ volatile("svc 0"); } void f(void) { g(); }',
+        "planted.o",
+        "no call of a debugger in the image",
+        "omnibot.elf: g",
+    ),
+    "zeroed variable": (
+        "volatile int x[5]; void f(void) { x[0] = 1; }",
+        "planted.o",
+        "memory of the image accounted for",
+        "omnibot.elf: planted.o: 20 bytes in .bss",
+    ),
+    "initialised variable in main.c": (
+        "volatile int x = 3; void f(void) { x++; }",
+        "main.c.obj",
+        "memory of the image accounted for",
+        "omnibot.elf: main.c: 4 bytes in .data",
+    ),
+    "variable that outlives a reset": (
+        '__attribute__((section(".noinit"))) volatile int x; void f(void) { x++; }',
+        "planted.o",
+        "memory of the image accounted for",
+        "omnibot.elf: planted.o: 4 bytes in .noinit",
+    ),
+}
+
+
+@pytest.mark.parametrize(("source", "object_name", "title", "finding"), IMAGES.values(), ids=IMAGES)
+def test_planted_violation_in_the_image_is_named(
+    copy: Path, source: str, object_name: str, title: str, finding: str
+) -> None:
+    plant_image(copy, source, object_name)
+
+    result = check(copy)
+
+    assert result.returncode == 1
+    assert any(line.startswith(f"FAIL {title}") for line in failed_lines(result)), result.stdout
+    assert f"     {finding}" in result.stdout.splitlines(), result.stdout
+
+
+def test_harmless_image_passes(copy: Path) -> None:
+    plant_image(copy, "volatile unsigned long long x = 0, y; void f(void) { x = x / y; }", "main.c.obj")
+
+    result = check(copy)
+
+    assert result.returncode == 0, result.stdout
+
+
+def test_section_that_no_module_accounts_for_is_named(copy: Path) -> None:
+    text = (copy / "omnibot.map").read_text(encoding="utf-8")
+    (copy / "omnibot.map").write_text(text.replace(" .bss.loop ", " .gone.loop "), encoding="utf-8")
+    lost = check(copy)
+    (copy / "omnibot.map").write_text(re.sub(r"(\n \.bss\.loop\s+0x\w+\s+0x\w+)", r"\g<1>0", text), encoding="utf-8")
+    grown = check(copy)
+
+    assert lost.returncode == 0  # by whatever name it has bytes there
+    assert grown.returncode == 1
+    assert re.search(r"omnibot\.elf: \.bss: -\d+ of \d+ bytes belong to no module", grown.stdout), grown.stdout
+
+
+def test_sizes_add_up_to_the_sections_of_the_image(target: Path) -> None:
+    result = check(target, "--sizes")
+
+    total = result.stdout.splitlines()[-1].split()[-2:]
+    printed = subprocess.run(
+        ["arm-none-eabi-size", "-A", target / "omnibot.elf"], capture_output=True, text=True, check=True
+    ).stdout
+    size = {line.split()[0]: int(line.split()[1]) for line in printed.splitlines() if line.startswith(".")}
+    ram = size[".stack"] + size[".noinit"] + size.get(".data", 0) + size[".bss"]
+    flash = sum(size.get(name, 0) for name in (".vectors", ".text", ".rodata", ".ARM.exidx", ".data"))
+    assert [int(number) for number in total] == [flash, ram]
 
 
 @pytest.mark.parametrize(("flags", "finding"), OTHER_PROCESSORS.values(), ids=OTHER_PROCESSORS)
@@ -181,6 +292,17 @@ def test_missing_archive_fails_and_says_how_to_build_it(copy: Path, archive: str
 
     assert result.returncode == 1
     assert failed_lines(result) == [f"FAIL no {copy / archive}: cmake --preset target && cmake --build --preset target"]
+
+
+@pytest.mark.parametrize("file", ["omnibot.elf", "omnibot.map"])
+def test_missing_image_fails_and_says_how_to_build_it(copy: Path, file: str) -> None:
+    (copy / file).unlink()
+
+    result = check(copy)
+
+    assert result.returncode == 1
+    how = "cmake --preset target && cmake --build --preset target"
+    assert failed_lines(result) == [f"FAIL no {copy / 'omnibot.elf'} with its map: {how}"]
 
 
 def test_empty_archive_fails(copy: Path) -> None:
