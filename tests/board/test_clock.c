@@ -54,6 +54,13 @@ static void assert_tree(clock_tree_t tree, uint8_t source, uint32_t core_MHz, ui
     TEST_ASSERT_EQUAL_UINT32(core_MHz * 1000000u, tree.timer_Hz);
 }
 
+static void assert_never_switched(void)
+{
+    for (uint32_t n = 0; n < model_writes_to(&rcc.cfgr); n++) {
+        TEST_ASSERT_EQUAL_HEX32(0, model_written(&rcc.cfgr, n) & 3u);
+    }
+}
+
 // ---- everything works
 
 static void test_crystal_gives_168_MHz(void)
@@ -78,7 +85,7 @@ static void test_flash_and_buses_are_slowed_before_the_core_is_fast(void)
     const uint32_t switched = model_first_write(&rcc.cfgr, 2u);
     TEST_ASSERT_LESS_THAN_UINT32(switched, model_first_write(&flash_interface.acr, 5u));
     TEST_ASSERT_LESS_THAN_UINT32(switched, model_first_write(&rcc.cfgr, 5u << 10 | 4u << 13));
-    TEST_ASSERT_EQUAL_HEX32(0, model_written(&rcc.cfgr, 0) & 3u);
+    TEST_ASSERT_EQUAL_HEX32(5u << 10 | 4u << 13, model_written(&rcc.cfgr, 1)); // not with it
 }
 
 static void test_pll_is_set_before_it_is_started(void)
@@ -97,6 +104,20 @@ static void test_security_system_watches_the_crystal_only(void)
     TEST_ASSERT_BITS_LOW(1u << 19, model_get(&rcc.cr));
 }
 
+static void test_pll_that_runs_already_is_left_and_set_anew(void)
+{
+    model_set(&rcc.cr, 0x83 | 1u << 24 | 1u << 25 | 1u << 19);
+    model_set(&rcc.cfgr, 2u | 2u << 2);
+    model_set(&rcc.pllcfgr, 0x24003010);
+    assert_tree(start(), CLOCK_SOURCE_HSE_PLL, 168, 42, 84);
+    TEST_ASSERT_EQUAL_HEX32(0x07405408, model_get(&rcc.pllcfgr));
+    TEST_ASSERT_EQUAL_HEX32(0, model_written(&rcc.cfgr, 0) & 3u);                  // off it,
+    TEST_ASSERT_EQUAL_HEX32(0, model_written(&rcc.cr, 0) & (1u << 24 | 1u << 19)); // and off with it,
+    const uint32_t set = model_first_write(&rcc.pllcfgr, 0x07405408);
+    TEST_ASSERT_GREATER_THAN_UINT32(1, set); // before it is set
+    TEST_ASSERT_LESS_THAN_UINT32(model_first_write(&rcc.cr, 1u << 24), set);
+}
+
 // ---- something is dead
 
 static void test_dead_crystal_falls_back_to_the_internal_oscillator(void)
@@ -112,7 +133,7 @@ static void test_dead_pll_leaves_16_MHz(void)
     alive = ALL & ~PLL;
     assert_tree(start(), CLOCK_SOURCE_HSI, 16, 16, 16);
     TEST_ASSERT_BITS_LOW(1u << 24, model_get(&rcc.cr));
-    TEST_ASSERT_EQUAL_UINT32(0, model_writes_to(&rcc.cfgr));
+    assert_never_switched();
 }
 
 static void test_dead_crystal_and_pll_leave_16_MHz(void)
@@ -125,7 +146,7 @@ static void test_flash_that_takes_no_wait_states_is_not_outrun(void)
 {
     alive = ALL & ~FLASH;
     assert_tree(start(), CLOCK_SOURCE_HSI, 16, 16, 16);
-    TEST_ASSERT_EQUAL_UINT32(0, model_writes_to(&rcc.cfgr));
+    assert_never_switched();
 }
 
 static void test_switch_that_does_not_move_is_taken_back(void)
@@ -158,6 +179,7 @@ int main(void)
     RUN_TEST(test_flash_and_buses_are_slowed_before_the_core_is_fast);
     RUN_TEST(test_pll_is_set_before_it_is_started);
     RUN_TEST(test_security_system_watches_the_crystal_only);
+    RUN_TEST(test_pll_that_runs_already_is_left_and_set_anew);
     RUN_TEST(test_dead_crystal_falls_back_to_the_internal_oscillator);
     RUN_TEST(test_dead_pll_leaves_16_MHz);
     RUN_TEST(test_dead_crystal_and_pll_leave_16_MHz);

@@ -141,7 +141,7 @@ static void test_interrupt_is_bounded_even_if_the_transmitter_takes_all(void)
         usart_send(&usart, 0x41);
     }
     usart_interrupt(&usart);
-    TEST_ASSERT_EQUAL_UINT32(32, model_writes_to(&usart1.dr));
+    TEST_ASSERT_EQUAL_UINT32(USART_BYTES_PER_INTERRUPT, model_writes_to(&usart1.dr));
 }
 
 static void test_full_output_ring_refuses(void)

@@ -145,6 +145,8 @@ static void test_pwm_is_20_kHz_on_three_channels_with_no_dead_time(void)
     TEST_ASSERT_EQUAL_HEX32(0x6868, model_get(&tim8.ccmr1)); // PWM mode 1, preloaded
     TEST_ASSERT_EQUAL_HEX32(0x0068, model_get(&tim8.ccmr2));
     TEST_ASSERT_EQUAL_HEX32(0x111, model_get(&tim8.ccer));
+    TEST_ASSERT_LESS_THAN_UINT32(model_first_write(&tim8.cr1, 1),
+                                 model_first_write(&tim8.egr, 1)); // preloads taken over
     TEST_ASSERT_EQUAL_HEX32(0x1C00, model_get(&tim8.bdtr)); // off, driven low, break input low-active, no dead time
 }
 

@@ -9,8 +9,6 @@
 #include "power.h"
 #include "watchdog.h"
 
-enum { TICKS_PER_S = 1000 };
-
 static const gpio_pin_t pins[] = BOARD_PINS;
 static const wheels_wiring_t wheels_wiring = BOARD_WHEELS;
 static const adc_wiring_t adc_wiring = BOARD_ADC;
@@ -43,9 +41,9 @@ static void start_pins(void)
     }
 }
 
-static void start_tick(uint32_t core_Hz)
+static void start_tick(uint32_t core_Hz, uint32_t period_us)
 {
-    reg_write(&systick.load, core_Hz / TICKS_PER_S - 1u);
+    reg_write(&systick.load, core_Hz / 1000000u * period_us - 1u); // 24 bits: up to 99 ms at 168 MHz
     reg_write(&systick.val, 0);
     reg_write(&systick.ctrl, SYSTICK_CTRL_CLKSOURCE_CORE | SYSTICK_CTRL_TICKINT | SYSTICK_CTRL_ENABLE);
 }
@@ -96,7 +94,7 @@ void board_start(board_t *board, uint8_t node)
     supply_init(&board->supply, BOARD_SUPPLY_MINIMUM_V);
     start_lines(board, node);
     start_interrupts();
-    start_tick(board->clock.core_Hz);
+    start_tick(board->clock.core_Hz, omnibot.control_period_us);
     watchdog_start(&iwdg);
 }
 
@@ -161,7 +159,8 @@ void board_feed_watchdog(uint32_t periods, bool app_in_order)
 void board_show(const board_t *board, uint8_t mode, uint8_t fault)
 {
     const bool on_crystal = board->clock.source == CLOCK_SOURCE_HSE_PLL;
-    gpio_write(&BOARD_LED_PORT, BOARD_LED_PIN, led_is_on(mode, fault, on_crystal, board->ticks_done));
+    const uint32_t time_ms = (uint32_t)((uint64_t)board->ticks_done * omnibot.control_period_us / 1000u);
+    gpio_write(&BOARD_LED_PORT, BOARD_LED_PIN, led_is_on(mode, fault, on_crystal, time_ms));
 }
 
 // ---- the core

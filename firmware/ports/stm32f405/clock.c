@@ -17,6 +17,17 @@ static_assert(PLL_INPUT_MHz * PLL_N / PLL_P == CORE_MHz, "core clock");
 static_assert(PLL_INPUT_MHz * PLL_N / PLL_Q == 48, "USB clock");
 static_assert(CORE_MHz / (FLASH_WAIT_STATES + 1) <= 30, "flash");
 
+/// A boot loader may hand the chip over with its PLL on, and that can only be set while it is off (RM0090 7.3.2).
+static bool leave_pll(rcc_registers_t *clocks)
+{
+    reg_change(&clocks->cfgr, RCC_CFGR_SW_MASK, RCC_CFGR_SW_HSI);
+    if (!wait_until(&clocks->cfgr, RCC_CFGR_SWS_MASK, RCC_CFGR_SWS_HSI, SWITCH_POLLS)) {
+        return false;
+    }
+    reg_clear(&clocks->cr, RCC_CR_CSSON | RCC_CR_PLLON);
+    return wait_until(&clocks->cr, RCC_CR_PLLRDY, 0, PLL_POLLS);
+}
+
 static bool start_crystal(rcc_registers_t *clocks)
 {
     reg_set(&clocks->cr, RCC_CR_HSEON);
@@ -74,6 +85,9 @@ clock_tree_t clock_start(rcc_registers_t *clocks, flash_registers_t *flash, uint
 {
     if ((reg_read(&clocks->cr) & RCC_CR_HSIRDY) == 0) {
         return tree_of(CLOCK_SOURCE_UNKNOWN); // we are running from it
+    }
+    if (!leave_pll(clocks)) {
+        return tree_of(CLOCK_SOURCE_HSI);
     }
     const bool crystal = start_crystal(clocks);
     if (!start_pll(clocks, crystal ? crystal_MHz : HSI_MHz, crystal ? RCC_PLLCFGR_SRC_HSE : 0) ||

@@ -58,7 +58,7 @@ __attribute__((naked)) void fault_entry(void)
 #define EXCEPTION(number) [(number)-1]
 #define INTERRUPT(number) [EXCEPTION_COUNT + (number)-1]
 
-__attribute__((section(".vectors"), used)) static const vectors_t vectors = {
+__attribute__((section(".vectors"), used, aligned(512))) static const vectors_t vectors = {
     .initial_stack = stack_top,
     .handler =
         {
@@ -78,6 +78,7 @@ __attribute__((section(".vectors"), used)) static const vectors_t vectors = {
 void reset_handler(void)
 {
     board_bridges_off();
+    reg_write(&scb.vtor, (uint32_t)(uintptr_t)&vectors); // a boot loader leaves its own
     reg_set(&scb.cpacr, SCB_CPACR_CP10_CP11);
     core_synchronise();
     for (uint32_t i = 0; data_start + i < data_end; i++) {

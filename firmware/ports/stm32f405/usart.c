@@ -1,9 +1,6 @@
 // SPDX-License-Identifier: MIT
 #include "usart.h"
 
-// The transmitter takes two bytes in a row, one to shift and one to hold; an emulated one takes any number.
-enum { USART_BYTES_PER_INTERRUPT = 32 };
-
 void usart_start(usart_t *usart, usart_registers_t *registers, uint32_t bus_Hz, uint32_t bits_per_s)
 {
     usart->registers = registers;

@@ -6,6 +6,9 @@
 #include "registers.h"
 #include "ring.h"
 
+// The transmitter takes two bytes in a row, one to shift and one to hold; an emulated one takes any number.
+enum { USART_BYTES_PER_INTERRUPT = 256 };
+
 typedef struct {
     usart_registers_t *registers;
     ring_t received, to_send;
