@@ -14,6 +14,7 @@ import numpy as np
 from host_sim.codec import NODES, Codec, WireError
 from host_sim.errors import OmnibotError
 from host_sim.robot import Parameter
+from host_sim.serial_bus import open_serial
 
 # A tick that is not answered is asked again this often; the firmware answers a repeated tick without a second step.
 REPEAT_S = 0.2
@@ -79,6 +80,8 @@ class Link:
         How long, by the wall clock, the firmware may be silent.
     record
         Called with every frame sent and received: simulated time in s, identifier, payload.
+    repeat_s
+        What is not answered is asked again this often, by the wall clock (default: every 0.2 s).
     """
 
     def __init__(
@@ -87,10 +90,12 @@ class Link:
         codec: Codec,
         timeout_s: float = 2.0,
         record: Callable[[FrameRecord], None] | None = None,
+        repeat_s: float | None = None,
     ) -> None:
         self.bus = bus
         self.codec = codec
         self.timeout_s = timeout_s
+        self.repeat_s = min(REPEAT_S if repeat_s is None else repeat_s, timeout_s)
         self.time_s = 0.0
         self.statistics = BusStatistics()
         self.status: dict[str, float] = {}
@@ -142,9 +147,10 @@ class Link:
                 self.status = self.codec["STATUS"].named(data)
 
     def _silent(self, waiting_for: str) -> SilentError:
+        sil = f"is the firmware running there? (omnibot-sil --can INTERFACE --node {self.codec.node})"
         return SilentError(
             f"no {waiting_for} from node {self.codec.node} on {self.bus.channel_info} within {self.timeout_s:g} s: "
-            f"is the firmware running there? (omnibot-sil --can INTERFACE --node {self.codec.node})"
+            + getattr(self.bus, "cure", sil)
         )
 
     def _wait_for(self, name: str, timeout_s: float | None = None) -> dict[str, float]:
@@ -152,7 +158,7 @@ class Link:
         wanted = self.codec[name]
         deadline = time.monotonic() + (self.timeout_s if timeout_s is None else timeout_s)
         while (left := deadline - time.monotonic()) > 0.0:
-            received = self._receive(min(left, REPEAT_S))
+            received = self._receive(min(left, self.repeat_s))
             if received is None:
                 continue
             self._note_status(*received)
@@ -204,7 +210,7 @@ class Link:
         while time.monotonic() < deadline:
             self.send("HELLO", self.codec.protocol_hash)
             with contextlib.suppress(SilentError):
-                return self._wait_for("IDENTITY", min(REPEAT_S, self.timeout_s))
+                return self._wait_for("IDENTITY", self.repeat_s)
         raise self._silent("IDENTITY")
 
     def _drain(self) -> None:
@@ -346,7 +352,7 @@ class Link:
         """Collect TORQUE and SLIP of a tick; None if they do not come. Answers to earlier ticks are passed over."""
         torque: tuple[float, ...] | None = None
         slip: tuple[float, ...] | None = None
-        deadline = time.monotonic() + REPEAT_S
+        deadline = time.monotonic() + self.repeat_s
         while torque is None or slip is None:
             # Other frames on the bus must not put off the next asking.
             left = deadline - time.monotonic()
@@ -389,6 +395,8 @@ def open_bus(name: str, node: int, interface: str | None, channel: str | None, b
     interface, channel, bitrate
         python-can's own; given, they are used instead of ``name``.
     """
+    if interface == "slcan":
+        return open_serial(channel, bitrate)
     if interface is not None:
         options: dict[str, str | int] = {"interface": interface}
         options |= {"channel": channel} if channel is not None else {}

@@ -1,0 +1,107 @@
+"""python-can's slcan, on a serial port that is ours alone."""
+
+import fcntl
+import os
+import time
+from pathlib import Path
+from typing import Any
+
+import can
+from can.interfaces.slcan import slcanBus
+
+from host_sim.errors import OmnibotError
+
+# The board's UART (firmware/ports/stm32f405/board_omnibot.h); a channel that ends in @RATE has its own.
+UART_BITS_PER_S = 1_000_000
+CAN_BITS_PER_S = 1_000_000
+# python-can looks at one byte when it may not wait at all; a whole line takes this long.
+LOOK_S = 0.002
+
+
+def _take_port(channel: str) -> int | None:
+    """Lock a serial port before a byte goes out, which would break into the run of whoever has it; None: no device."""
+    path = Path(channel.split("@", maxsplit=1)[0])
+    if not path.is_char_device():
+        return None
+    try:
+        handle = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    except PermissionError as error:
+        raise OmnibotError(f"{path} may not be opened: add yourself to the group {path.group()}") from error
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        os.close(handle)
+        raise OmnibotError(f"{path} is in use by another run: give this one a port and a board of its own") from error
+    return handle
+
+
+class SerialBus(slcanBus):
+    """A board on a serial port.
+
+    Parameters
+    ----------
+    channel
+        The port, ``/dev/ttyACM0``, or one of pyserial's URLs; ``@RATE`` behind it is the UART's, bit/s.
+    bitrate
+        Of the CAN bus behind an adapter, bit/s; a board's own UART has none and takes any.
+    """
+
+    cure = "is the board on, of this node, and on this port at this rate?"
+
+    def __init__(self, channel: str, bitrate: int = CAN_BITS_PER_S, **kwargs: Any) -> None:
+        self._lock = _take_port(channel)
+        try:
+            # A board is not reset by the opening of its port: nothing to wait for.
+            options = {"tty_baudrate": UART_BITS_PER_S, "sleep_after_open": 0.0} | kwargs
+            super().__init__(channel, bitrate=bitrate, **options)
+        except BaseException:
+            self._give_port_back()
+            self._is_shutdown = True  # nothing was opened: python-can need not complain that nothing was closed
+            raise
+        self.channel_info = f"slcan on {channel}"
+
+    def _give_port_back(self) -> None:
+        if self._lock is not None:
+            os.close(self._lock)
+            self._lock = None
+
+    def _read(self, timeout: float | None) -> str | None:
+        """Read a line; one that is no text is dropped."""
+        try:
+            return super()._read(timeout)
+        except can.CanOperationError as error:
+            if not isinstance(error.__cause__, UnicodeDecodeError):
+                raise
+            self._buffer.clear()
+            return None
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        """Wait for a frame; answers to commands and lines damaged on the way are passed over."""
+        deadline = None if timeout is None else time.monotonic() + max(timeout, LOOK_S)
+        while True:
+            left = None if deadline is None else max(deadline - time.monotonic(), 0.0)
+            try:
+                message, filtered = super()._recv_internal(left)
+            except (ValueError, IndexError):
+                continue
+            if message is not None or left == 0.0:
+                return message, filtered
+
+    def shutdown(self) -> None:
+        """Close the channel and give the port back."""
+        try:
+            super().shutdown()
+        finally:
+            self._give_port_back()
+
+
+def open_serial(channel: str | None, bitrate: int | None) -> SerialBus:
+    """Open the serial port that the command line names."""
+    if not channel:
+        raise OmnibotError("slcan needs a port: --channel /dev/ttyACM0, or /dev/ttyUSB0@1000000 with the UART's rate")
+    try:
+        return SerialBus(channel, CAN_BITS_PER_S if bitrate is None else bitrate)
+    except OmnibotError:
+        raise
+    except (can.CanError, OSError, ValueError) as error:
+        raise OmnibotError(f"cannot open {channel}: {error}") from error
