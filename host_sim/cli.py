@@ -19,6 +19,7 @@ from host_sim.codec import DBC_FILE, Codec
 from host_sim.errors import OmnibotError
 from host_sim.link import Link, open_bus
 from host_sim.paper import choose, write_paper
+from host_sim.pil import EmulatedBoard
 from host_sim.planner import PathRequest, plan
 from host_sim.robot import ROOT, load_robot
 from host_sim.run import LOG_FILE, BusLog, execute, run_folder
@@ -96,9 +97,14 @@ def run(
     start_before_corner: Annotated[
         float | None, typer.Option(help="start in motion so many seconds before the first corner")
     ] = None,
-    bus: Annotated[str, typer.Option(help="inproc, or a SocketCAN interface such as vcan0")] = "inproc",
+    bus: Annotated[
+        str, typer.Option(help="inproc, pil (the board's image, emulated), or a SocketCAN interface")
+    ] = "inproc",
     interface: Annotated[str | None, typer.Option("-i", "--interface", help="python-can interface, over --bus")] = None,
-    channel: Annotated[str | None, typer.Option("-c", "--channel", help="python-can channel")] = None,
+    channel: Annotated[
+        str | None,
+        typer.Option("-c", "--channel", help="python-can channel; with --bus pil the image, if not build/target's"),
+    ] = None,
     bitrate: Annotated[int | None, typer.Option("-b", "--bitrate", help="bit/s, where the interface wants it")] = None,
     node: Annotated[int, typer.Option(help="the robot's node on the bus, 0 to 15")] = 0,
     setting: Annotated[
@@ -154,7 +160,9 @@ def run(
     with open_bus(bus, node, interface, channel, bitrate) as opened, run_folder(folder):
         log = BusLog(folder / LOG_FILE, channel="vcan0")
         try:
-            link = Link(opened, codec, timeout, log.record)
+            # An emulator loses nothing: asking again where a machine is slow would only fill the log.
+            repeat_s = timeout if isinstance(opened, EmulatedBoard) else None
+            link = Link(opened, codec, timeout, log.record, repeat_s)
             result = execute(scenario, robot, trajectory, link, log, folder, bus_name, _command_line(), pace)
         finally:
             log.close()

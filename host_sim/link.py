@@ -13,6 +13,7 @@ import numpy as np
 
 from host_sim.codec import NODES, Codec, WireError
 from host_sim.errors import OmnibotError
+from host_sim.pil import IMAGE_FILE, EmulatedBoard
 from host_sim.robot import Parameter
 from host_sim.serial_bus import open_serial
 
@@ -391,10 +392,12 @@ def open_bus(name: str, node: int, interface: str | None, channel: str | None, b
     Parameters
     ----------
     name
-        ``inproc``, or the name of a SocketCAN interface such as ``vcan0``.
+        ``inproc``, ``pil``, or the name of a SocketCAN interface such as ``vcan0``.
     interface, channel, bitrate
-        python-can's own; given, they are used instead of ``name``.
+        python-can's own; given, they are used instead of ``name``. With ``pil``, a channel is the image to run.
     """
+    if interface is None and name == "pil":
+        return EmulatedBoard(IMAGE_FILE if channel is None else Path(channel))
     if interface == "slcan":
         return open_serial(channel, bitrate)
     if interface is not None:
@@ -408,7 +411,8 @@ def open_bus(name: str, node: int, interface: str | None, channel: str | None, b
         options = {"interface": "socketcan", "channel": name}
     else:
         raise OmnibotError(
-            f"no bus {name!r}: 'inproc', or a SocketCAN interface that is up; tools/with-vcan -- COMMAND makes a vcan0"
+            f"no bus {name!r}: 'inproc', 'pil', or a SocketCAN interface that is up; "
+            "tools/with-vcan -- COMMAND makes a vcan0"
         )
     try:
         return can.Bus(**options)  # type: ignore[arg-type]

@@ -1,5 +1,6 @@
 """python-can's slcan, on a serial port that is ours alone."""
 
+import contextlib
 import fcntl
 import os
 import time
@@ -55,12 +56,15 @@ class SerialBus(slcanBus):
             options = {"tty_baudrate": UART_BITS_PER_S, "sleep_after_open": 0.0} | kwargs
             super().__init__(channel, bitrate=bitrate, **options)
         except BaseException:
-            self._give_port_back()
-            self._is_shutdown = True  # nothing was opened: python-can need not complain that nothing was closed
+            self._let_go()
+            self._is_shutdown = True  # python-can need not complain that it was not shut down
             raise
         self.channel_info = f"slcan on {channel}"
 
-    def _give_port_back(self) -> None:
+    def _let_go(self) -> None:
+        """Close what is open, however far the opening came; python-can does not where its last words fail."""
+        with contextlib.suppress(AttributeError):
+            self.serialPortOrig.close()
         if self._lock is not None:
             os.close(self._lock)
             self._lock = None
@@ -92,7 +96,7 @@ class SerialBus(slcanBus):
         try:
             super().shutdown()
         finally:
-            self._give_port_back()
+            self._let_go()
 
 
 def open_serial(channel: str | None, bitrate: int | None) -> SerialBus:

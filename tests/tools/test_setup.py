@@ -17,11 +17,12 @@ def run(*arguments):
 def test_wrong_usage_is_told_in_one_line(arguments):
     result = run(*arguments)
     assert result.returncode == 1
-    assert re.fullmatch(r"setup: .*say: tools/setup run, or tools/setup test.*\n", result.stderr)
+    assert re.fullmatch(r"setup: .*say: tools/setup run, board or test.*\n", result.stderr)
 
 
-def test_help_names_both_extents():
+def test_help_names_every_extent():
     result = run("--help")
     assert result.returncode == 0
     assert re.search(r"^  run ", result.stdout, re.MULTILINE)
+    assert re.search(r"^  board ", result.stdout, re.MULTILINE)
     assert re.search(r"^  test ", result.stdout, re.MULTILINE)
