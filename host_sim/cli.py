@@ -17,6 +17,7 @@ from rich.text import Text
 
 from host_sim.codec import DBC_FILE, Codec
 from host_sim.errors import OmnibotError
+from host_sim.flash import IMAGE_FILE, flash
 from host_sim.link import Link, open_bus
 from host_sim.paper import choose, write_paper
 from host_sim.pil import EmulatedBoard
@@ -238,6 +239,20 @@ def cost(context: typer.Context) -> None:
     """Tell what a step costs on the target: instructions, cycles, stack, flash and RAM (omnibot cost --help)."""
     # The meter knows the firmware's symbols, this package does not: it is a tool of the source tree.
     raise typer.Exit(subprocess.run([sys.executable, COST_TOOL, *context.args], check=False).returncode)
+
+
+@app.command("flash")
+def flash_board(
+    runner: Annotated[
+        str | None, typer.Option(help="openocd, st-flash, pyocd or dfu-util (default: the first that is installed)")
+    ] = None,
+    image: Annotated[Path, typer.Option(help="what the flash shall hold")] = IMAGE_FILE,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="only show the commands")] = False,
+) -> None:
+    """Write the firmware into a board's flash, verify it, and reset the board."""
+    flash(runner, image, dry_run, typer.echo)
+    if not dry_run:
+        print(f"flashed and verified: {image}")  # noqa: T201
 
 
 def main() -> None:
