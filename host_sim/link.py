@@ -1,6 +1,7 @@
 """The host's side of the wire: a session with one robot over any python-can bus."""
 
 import contextlib
+import errno
 import math
 import time
 import zlib
@@ -19,6 +20,8 @@ from host_sim.serial_bus import open_serial
 
 # A tick that is not answered is asked again this often; the firmware answers a repeated tick without a second step.
 REPEAT_S = 0.2
+# A frame takes 0.1 ms of a bus at 1 Mbit/s.
+ROOM_S = 0.0005
 TRAJECTORY_FRAME_BYTES = 6
 TRAJECTORY_ACK_FRAMES = 16
 
@@ -118,10 +121,16 @@ class Link:
 
     def _send(self, arbitration_id: int, data: bytes) -> None:
         message = can.Message(arbitration_id=arbitration_id, is_extended_id=False, data=data, check=False)
-        try:
-            self.bus.send(message, timeout=self.timeout_s)
-        except can.CanError as error:
-            raise OmnibotError(f"cannot send on {self.bus.channel_info}: {error}") from error
+        deadline = time.monotonic() + self.timeout_s
+        while True:
+            try:
+                self.bus.send(message, timeout=self.timeout_s)
+                break
+            except can.CanError as error:
+                # A SocketCAN interface queues ten frames, and python-can does not wait for room.
+                if error.error_code != errno.ENOBUFS or time.monotonic() > deadline:
+                    raise OmnibotError(f"cannot send on {self.bus.channel_info}: {error}") from error
+            time.sleep(ROOM_S)
         self._note(arbitration_id, data)
 
     def _receive(self, wait_s: float) -> tuple[int, bytes] | None:

@@ -1,5 +1,6 @@
 """A session with the real firmware on the in-process bus; frames are lost, late or damaged."""
 
+import errno
 import math
 import time
 from collections.abc import Callable, Iterator
@@ -505,6 +506,33 @@ def test_bus_that_fails_to_send_is_an_error_that_names_it(bus: DisturbedBus, mon
 
     with pytest.raises(OmnibotError, match=r"cannot send on omnibot firmware in-process.*: cable unplugged"):
         Link(bus, CODEC).send("PARAMETER_GET", 0)
+
+
+FULL = can.CanOperationError("Failed to transmit: No buffer space available", errno.ENOBUFS)
+
+
+def test_frame_waits_for_room_in_an_interface_whose_queue_is_full(
+    bus: DisturbedBus, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    send, full = bus.send, [FULL] * 3
+
+    def send_when_there_is_room(message: can.Message, timeout: float | None = None) -> None:
+        if full:
+            raise full.pop()
+        send(message, timeout)
+
+    monkeypatch.setattr(bus, "send", send_when_there_is_room)
+    Link(bus, CODEC).send("PARAMETER_GET", 0)
+    assert bus.times_sent("PARAMETER_GET") == 1
+
+
+def test_interface_that_stays_full_is_an_error(bus: DisturbedBus, monkeypatch: pytest.MonkeyPatch) -> None:
+    def never(*_: object, **__: object) -> None:
+        raise FULL
+
+    monkeypatch.setattr(bus, "send", never)
+    with pytest.raises(OmnibotError, match=r"cannot send on .*: Failed to transmit: No buffer space available"):
+        Link(bus, CODEC, timeout_s=0.05).send("PARAMETER_GET", 0)
 
 
 # Record -------------------------------------------------------------------------------------------------------------
