@@ -29,6 +29,11 @@ from host_sim.sensors import Sensors
 from host_sim.sweep import SWEEPS, run_sweep, table
 from host_sim.trace import Trace, compare, write_atomically
 
+WITHOUT_CLOCK = {
+    "inproc": "the firmware in-process has no timer of its own",
+    "pil": "the emulated board counts instructions, not time",
+}
+
 
 class RunFailedError(OmnibotError):
     """A run that did not complete; its result was printed already."""
@@ -135,8 +140,8 @@ def run(
         raise OmnibotError(f"--pace {pace:g} must be above 0")
     if not 1e-3 <= timeout <= 3600.0:
         raise OmnibotError(f"--timeout {timeout:g} must be 0.001 … 3600 s")
-    if time == "realtime" and interface is None and bus == "inproc":
-        raise OmnibotError("the firmware in-process has no timer of its own: give --time realtime a bus, such as vcan0")
+    if time == "realtime" and interface is None and bus in WITHOUT_CLOCK:
+        raise OmnibotError(f"{WITHOUT_CLOCK[bus]}: give --time realtime a bus, such as vcan0")
     robot = load_robot()
     request = PathRequest(path, speed, corner, corner_accel, duration, start_before_corner)
     scenario = Scenario(

@@ -65,7 +65,10 @@ def _options(image: Path, listening: int) -> list[str]:
 
 
 class Emulator:
-    """A running QEMU. ``port`` of this machine is the serial port of the board."""
+    """A running QEMU. ``port`` of this machine is the serial port of the board.
+
+    It ends with the thread that has made it, at the latest.
+    """
 
     def __init__(self, image: Path) -> None:
         check_image(image)

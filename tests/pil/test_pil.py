@@ -55,6 +55,8 @@ def lap(tmp_path: Path) -> Iterator[tuple[Running, int, Path]]:
     yield process, emulator, folder
     process.kill()
     process.communicate()
+    if is_running(emulator):  # a test has failed: that emulator shall not outlive it
+        os.kill(emulator, signal.SIGKILL)
 
 
 # ---- the same bytes
@@ -233,6 +235,12 @@ def test_error_on_the_command_line_is_one_line(tmp_path: Path) -> None:
     assert result.returncode == 1
     assert result.stderr.startswith("omnibot: no firmware image")
     assert result.stderr.count("\n") == 1
+
+
+def test_run_by_the_clock_is_refused() -> None:
+    result = omnibot("run", "--bus", "pil", "--time", "realtime")
+    assert result.returncode == 1
+    assert result.stderr.startswith("omnibot: the emulated board counts instructions, not time")
 
 
 def test_emulators_have_ports_of_their_own() -> None:
