@@ -109,7 +109,7 @@ def run(
     interface: Annotated[str | None, typer.Option("-i", "--interface", help="python-can interface, over --bus")] = None,
     channel: Annotated[
         str | None,
-        typer.Option("-c", "--channel", help="python-can channel; with --bus pil the image, if not build/target's"),
+        typer.Option("-c", "--channel", help="python-can channel; with --bus pil the image, if not build/board's"),
     ] = None,
     bitrate: Annotated[int | None, typer.Option("-b", "--bitrate", help="bit/s, where the interface wants it")] = None,
     node: Annotated[int, typer.Option(help="the robot's node on the bus, 0 to 15")] = 0,

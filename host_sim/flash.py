@@ -16,7 +16,7 @@ from pathlib import Path
 from host_sim.errors import OmnibotError
 from host_sim.robot import ROOT
 
-IMAGE_FILE = ROOT / "build" / "target" / "omnibot.bin"
+IMAGE_FILE = ROOT / "build" / "board" / "omnibot.bin"
 FLASH_ADDRESS, FLASH_BYTES = 0x0800_0000, 1024 * 1024  # RM0090, table 5
 RAM_ADDRESS, RAM_BYTES = 0x2000_0000, 128 * 1024
 AT = f"{FLASH_ADDRESS:#010x}"
@@ -155,7 +155,7 @@ def check_image(image: Path) -> None:
     try:
         content = image.read_bytes()
     except OSError as error:
-        cure = "tools/build target makes it" if image == IMAGE_FILE else "give the board's omnibot.bin"
+        cure = "tools/build board makes it" if image == IMAGE_FILE else "give the board's omnibot.bin"
         raise OmnibotError(f"no image {image} ({error.strerror or error}): {cure}") from error
     stack, reset = struct.unpack_from("<II", content.ljust(8, b"\0"))
     in_ram = RAM_ADDRESS < stack <= RAM_ADDRESS + RAM_BYTES

@@ -20,7 +20,7 @@ from host_sim.errors import OmnibotError
 from host_sim.robot import ROOT
 from host_sim.serial_bus import SerialBus
 
-IMAGE_FILE = ROOT / "build" / "target" / "omnibot.elf"
+IMAGE_FILE = ROOT / "build" / "board" / "omnibot.elf"
 EMULATOR = "qemu-system-arm"
 MACHINE = "netduinoplus2"  # an STM32F405
 BOOT_S = 10.0  # by the wall clock: the firmware is up in 0.1 s, where the machine has time for it
@@ -37,7 +37,7 @@ def check_image(image: Path) -> None:
         with image.open("rb") as file:
             head = file.read(20)
     except OSError as error:
-        cure = "tools/build target makes it" if image == IMAGE_FILE else "give the board's omnibot.elf"
+        cure = "tools/build board makes it" if image == IMAGE_FILE else "give the board's omnibot.elf"
         raise OmnibotError(f"no firmware image {image} ({error.strerror or error}): {cure}") from error
     if (
         not head.startswith(ELF32_LITTLE_ENDIAN)

@@ -249,7 +249,7 @@ def test_missing_image_is_named_with_its_cure(fake: Fake, tmp_path: Path, monkey
     fake("openocd")
     assert refused(None, tmp_path / "none.bin").endswith("(No such file or directory): give the board's omnibot.bin")
     monkeypatch.setattr(module, "IMAGE_FILE", tmp_path / "omnibot.bin")
-    assert refused(None, tmp_path / "omnibot.bin").endswith("(No such file or directory): tools/build target makes it")
+    assert refused(None, tmp_path / "omnibot.bin").endswith("(No such file or directory): tools/build board makes it")
 
 
 # ---- the command line

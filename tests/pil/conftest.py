@@ -7,7 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from host_sim.pil import EMULATOR, IMAGE_FILE
+from host_sim.pil import EMULATOR
+from host_sim.robot import ROOT
+
+IMAGE_FILE = ROOT / "build" / "target" / "omnibot.elf"  # as it comes; build/board may be another board's or node's
 
 
 @pytest.fixture(autouse=True, scope="session")

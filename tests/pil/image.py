@@ -3,9 +3,8 @@
 import subprocess
 from pathlib import Path
 
+from conftest import IMAGE_FILE
 from elftools.elf.elffile import ELFFile
-
-from host_sim.pil import IMAGE_FILE
 
 
 class Image:

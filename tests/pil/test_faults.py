@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
+from conftest import IMAGE_FILE
 from image import Image, assemble
 
 from host_sim.codec import Codec
@@ -53,7 +54,7 @@ def tick(link: Link, number: int) -> None:
 def test_board_without_a_crystal_says_so_and_that_it_came_from_power() -> None:
     """QEMU's clock control reads as zero: neither crystal nor PLL nor even the internal oscillator gets ready."""
     frames: list[FrameRecord] = []
-    with EmulatedBoard() as board:
+    with EmulatedBoard(IMAGE_FILE) as board:
         link = Link(board, CODEC, record=frames.append)
         link.hello()
         tick(link, 0)

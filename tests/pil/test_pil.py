@@ -10,20 +10,21 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from conftest import emulators_of, is_running, wait_until
+from conftest import IMAGE_FILE, emulators_of, is_running, wait_until
 
 from host_sim import pil
 from host_sim.codec import Codec
 from host_sim.errors import OmnibotError
 from host_sim.inproc import LIBRARY_FILE
 from host_sim.link import Link, open_bus
-from host_sim.pil import IMAGE_FILE, EmulatedBoard, Emulator
+from host_sim.pil import EmulatedBoard, Emulator
 
 OMNIBOT = Path(sys.executable).parent / "omnibot"
 # The paper's rhombus at its slowest speed: from a straight side through the whole rounded corner onto the next side.
 CORNER = [OMNIBOT, "run", "--path", "rhombus", "--speed", "0.0936", "--corner", "rounded", "--epsilon", "0.01"]
 CORNER += ["--order", "1", "--traction", "magic", "--start-before-corner", "0.2", "--duration", "0.5"]
-LAP = [OMNIBOT, "run", "--bus", "pil"]  # of the rhombus: longer than any test waits
+PIL = ["--bus", "pil", "--channel", IMAGE_FILE]
+LAP = [OMNIBOT, "run", *PIL]  # of the rhombus: longer than any test waits
 PATIENT = ["--timeout", "30"]  # where other tests have the machine
 
 Running = "subprocess.Popen[str]"
@@ -66,7 +67,7 @@ def lap(tmp_path: Path) -> Iterator[tuple[Running, int, Path]]:
 def corner_runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two emulated runs at once, and one in-process."""
     folder = tmp_path_factory.mktemp("corner")
-    started = [start([*CORNER, "--bus", "pil"], folder / name) for name in ("first", "second")]
+    started = [start([*CORNER, *PIL], folder / name) for name in ("first", "second")]
     started.append(start([*CORNER, "--bus", "inproc"], folder / "inproc"))
     assert [finish(process) for process in started] == [(0, "")] * 3
     return folder
@@ -95,7 +96,7 @@ def test_corner_is_driven_and_not_a_straight_line(corner_runs: Path) -> None:
 
 
 def test_board_tells_who_it_is_and_drives_nothing_after_power_on() -> None:
-    with EmulatedBoard() as board:
+    with EmulatedBoard(IMAGE_FILE) as board:
         link = Link(board, Codec())
         assert link.hello().protocol_hash == Codec().protocol_hash
         assert Codec()["STATUS"].label("mode", link.status["mode"]) == "IDLE"
@@ -113,7 +114,7 @@ def test_firmware_that_boots_slowly_is_waited_for(monkeypatch: pytest.MonkeyPatc
         return (None, None) if len(asked) < 3 else super(EmulatedBoard, board).get_version(timeout)
 
     monkeypatch.setattr(EmulatedBoard, "get_version", slow_at_first, raising=False)
-    with EmulatedBoard() as board:
+    with EmulatedBoard(IMAGE_FILE) as board:
         Link(board, Codec()).hello()
     assert len(asked) >= 3
 
@@ -122,21 +123,21 @@ def test_firmware_that_boots_slowly_is_waited_for(monkeypatch: pytest.MonkeyPatc
 
 
 def test_emulator_ends_with_the_bus() -> None:
-    with EmulatedBoard() as board:
+    with EmulatedBoard(IMAGE_FILE) as board:
         pid = board.emulator.pid
         assert is_running(pid)
     assert not is_running(pid)
 
 
 def test_emulator_ends_with_an_exception_in_the_run() -> None:
-    with contextlib.suppress(ZeroDivisionError), EmulatedBoard() as board:
+    with contextlib.suppress(ZeroDivisionError), EmulatedBoard(IMAGE_FILE) as board:
         pid = board.emulator.pid
         raise ZeroDivisionError
     assert not is_running(pid)
 
 
 def test_emulator_that_was_stopped_by_a_signal_is_a_firmware_that_is_silent() -> None:
-    with EmulatedBoard() as board:
+    with EmulatedBoard(IMAGE_FILE) as board:
         link = Link(board, Codec(), timeout_s=0.5)
         link.hello()
         os.kill(board.emulator.pid, signal.SIGSTOP)
@@ -185,7 +186,7 @@ def refused(image: Path) -> str:
 def test_image_that_is_not_there_is_named_with_its_cure(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     assert refused(tmp_path / "other.elf").endswith("(No such file or directory): give the board's omnibot.elf")
     monkeypatch.setattr(pil, "IMAGE_FILE", tmp_path / "omnibot.elf")
-    assert refused(tmp_path / "omnibot.elf").endswith("(No such file or directory): tools/build target makes it")
+    assert refused(tmp_path / "omnibot.elf").endswith("(No such file or directory): tools/build board makes it")
 
 
 def test_file_that_is_no_elf_for_arm_is_refused(tmp_path: Path) -> None:

@@ -60,7 +60,7 @@ def build(tree: Path, *arguments: str) -> "subprocess.CompletedProcess[str]":
         if not (folder / tool).exists():
             (folder / tool).symlink_to(found)
     assert shutil.which("python3", path=str(folder)) is None
-    command = "cmake --preset target && cmake --build --preset target"
+    command = "cmake --preset board && cmake --build --preset board"
     return subprocess.run(
         ["sh", "-c", command, *arguments],
         cwd=tree,
@@ -76,7 +76,7 @@ def test_unpacked_archive_builds_the_image_of_the_tree_without_python(tree: Path
         pytest.fail(f"there is no {IMAGE}: tools/build target makes it", pytrace=False)
     result = build(tree)
     assert result.returncode == 0, result.stderr
-    built = tree / "build" / "target"
+    built = tree / "build" / "board"
     assert (built / "omnibot.bin").read_bytes() == IMAGE.read_bytes()
     assert "OMNIBOT_PYTHON" not in (built / "CMakeCache.txt").read_text()
     for kind in ("elf", "hex", "bin"):
