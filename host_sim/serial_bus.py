@@ -3,6 +3,7 @@
 import contextlib
 import fcntl
 import os
+import re
 import time
 from pathlib import Path
 from typing import Any
@@ -101,7 +102,7 @@ class SerialBus(slcanBus):
 
 def open_serial(channel: str | None, bitrate: int | None) -> SerialBus:
     """Open the serial port that the command line names."""
-    if not channel:
+    if not channel or not re.fullmatch(r"[^@]+(@\d+)?", channel):
         raise OmnibotError("slcan needs a port: --channel /dev/ttyACM0, or /dev/ttyUSB0@1000000 with the UART's rate")
     try:
         return SerialBus(channel, CAN_BITS_PER_S if bitrate is None else bitrate)

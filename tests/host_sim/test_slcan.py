@@ -132,9 +132,10 @@ def test_port_that_is_no_serial_port_is_named(tmp_path: Path) -> None:
         open_port(str(file))
 
 
-def test_port_that_is_missing_on_the_command_line_is_asked_for() -> None:
+@pytest.mark.parametrize("channel", [None, "", "@1000000", "/dev/ttyACM0@fast", "/dev/ttyACM0@1@2"])
+def test_port_that_is_none_is_asked_for(channel: str | None) -> None:
     with pytest.raises(OmnibotError, match="slcan needs a port: --channel"):
-        open_port(None)
+        open_port(channel)
 
 
 def test_bit_rate_that_slcan_has_no_code_for_is_refused(robot: SerialRobot) -> None:

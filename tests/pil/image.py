@@ -3,8 +3,11 @@
 import subprocess
 from pathlib import Path
 
-from conftest import IMAGE_FILE
 from elftools.elf.elffile import ELFFile
+
+from host_sim.robot import ROOT
+
+IMAGE_FILE = ROOT / "build" / "target" / "omnibot.elf"  # as it comes; build/board may be another board's or node's
 
 
 class Image:

@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
-from conftest import IMAGE_FILE
-from image import Image, assemble
+from image import IMAGE_FILE, Image, assemble
 
 from host_sim.codec import Codec
 from host_sim.errors import OmnibotError

@@ -10,7 +10,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from conftest import IMAGE_FILE, emulators_of, is_running, wait_until
+from image import IMAGE_FILE
+from processes import emulators_of, is_running, wait_until
 
 from host_sim import pil
 from host_sim.codec import Codec
