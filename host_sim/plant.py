@@ -9,17 +9,20 @@ G = Jr Mo⁻¹ Jrᵀ + (r²/Iw) I. The wheel forces are gone from v̇, so that a
 with rates G F'(s)/(V + δ); v, pose and wheel angles are quadratures beside them.
 
 Method: Radau IIA of five stages, order 9, L-stable (Hairer, Wanner, Solving Ordinary Differential Equations II, IV.8),
-two steps a period or more, their length by the error that the embedded formula of order 5 shows in σ. Three things are
+one step a period or more, their length by the error that the embedded formula of order 5 shows in σ. Four things are
 not in the book:
 
 - simplified Newton for σ, whose residual is scaled stage by stage with the rate found there, because V + δ and F' may
   change several times within a step; v follows by fixed point in the same iterations;
+- in a calm step (`_is_calm`) the boundary layer that a new torque sets off is taken out as exp(−k t), k being the rate
+  G F'/(V + δ) of each wheel at the start. The stages carry the small rest: fewer steps, and mostly one iteration;
 - an error in σ that the boundary layer forgets before the period ends may be larger than one that stays;
 - a layer in which the contact points move less than `_LAYER_M` is not resolved: σ is put where the layer ends, if it is
   certain that it ends on the rising branch of the traction curve (`_skip_layer`).
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -40,11 +43,14 @@ _NEAR_PEAK = 0.5  # of the slip ratio at the peak
 _RELAXED = 3.4  # logarithm of the largest factor on _TOLERANCE for errors that are forgotten before the period ends
 _NEWTON_TOLERANCE = 1e-8  # relative as above
 _NEWTON_LIMIT = 12  # iterations
+_NEWTON_CALM = 1e-5  # a first correction that is the last one in a calm step: the next would be a thousandth of it
 _ATTEMPT_LIMIT = 2000  # steps, the rejected ones too; catching a wheel at ε = 4e-11 takes about 600
 _SHORTEST = 1e-22  # step, of a period; at rest the boundary layer of ε = 4e-11 lasts 5e-13 of one
 # A skipped layer moves contact points by no more than this against the floor, of which the body turns by a tenth, in
 # rad, and wheel angles take the whole, over r; the moves of successive layers do not add up, their σ being one curve.
 _LAYER_M = 1e-8
+_SLOW_ENOUGH = 0.5  # time constants in a step up to which the stages carry a layer as well as without the exponential
+_COUPLING_LEFT = 0.03  # share of a layer that is not of the wheel's own making
 _LAYER_RATE = 100.0  # time constants that a period must have at least for a layer in it to be skipped
 
 _STAGES = 5
@@ -120,12 +126,11 @@ _GAMMA = 1.0 / float(_MU[0].real)
 _ERROR = np.array(
     [-_GAMMA * sum(_lagrange(_NODES, i, 0.0) * float(_A_INVERSE[i, j]) for i in range(_STAGES)) for j in range(_STAGES)]
 )
-_BARYCENTRIC = np.array(
-    [1.0 / (c * math.prod(c - d for m, d in enumerate(_NODES) if m != j)) for j, c in enumerate(_NODES)]
-)  # of the nodes and the origin
 
 # Rows of three numbers each. State:
 _POSE, _SLOW, _SLIP, _ANGLE = range(4)
+# What `observe` gives:
+_SEEN_POSE, _SEEN_TWIST, _SEEN_WHEEL_SPEED, _SEEN_SLIP_RATIO, _SEEN_FORCE, _SEEN_ROWS = range(6)
 # Constants: matrices first.
 _G, _K, _JR, _PUSH, _DRIVE = 0, 3, 6, 9, 12
 _COUPLING = 15  # Mo / Mv
@@ -141,8 +146,11 @@ _V = 12
 _Z = _V + _STAGES
 _SLOW_RATES = _Z + _STAGES
 _RESIDUAL = _SLOW_RATES + _STAGES
-_LAST = _RESIDUAL + _STAGES
-_WORK_ROWS = _LAST + _STAGES
+_FADED = _RESIDUAL + _STAGES
+_FADING = _FADED + _STAGES
+_DRIFT = _FADING + _STAGES
+_SLOPE = _DRIFT + 1
+_WORK_ROWS = _SLOPE + 1
 # Counters:
 _STEPS, _REJECTED, _NEWTON, _RATES, _JACOBIANS, _LU, _SKIPPED, _COUNTERS = range(8)
 
@@ -171,7 +179,7 @@ def _drive(c: Array, w: Array, torque: Array) -> None:
 def _rates(
     c: Array, law: Array, w: Array, v0: float, v1: float, v2: float, s0: float, s1: float, s2: float
 ) -> tuple[float, float, float, float, float, float, float, float, float]:
-    """Return v̇, σ̇ and, for each wheel, G F'/(V + δ) where it is positive."""
+    """Return v̇, σ̇ and, for each wheel, F'/(V + δ)."""
     x = v0 + (c[_K, 0] * s0 + c[_K, 1] * s1 + c[_K, 2] * s2)
     y = v1 + (c[_K + 1, 0] * s0 + c[_K + 1, 1] * s1 + c[_K + 1, 2] * s2)
     turn = v2 + (c[_K + 2, 0] * s0 + c[_K + 2, 1] * s1 + c[_K + 2, 2] * s2)
@@ -190,24 +198,24 @@ def _rates(
         w[_SLIP_DRIVE, 0] - force0 - (c[_PUSH, 0] * a0 + c[_PUSH, 1] * a1),
         w[_SLIP_DRIVE, 1] - force1 - (c[_PUSH + 1, 0] * a0 + c[_PUSH + 1, 1] * a1),
         w[_SLIP_DRIVE, 2] - force2 - (c[_PUSH + 2, 0] * a0 + c[_PUSH + 2, 1] * a1),
-        max(0.0, c[_G, 0] * scale * d0),
-        max(0.0, c[_G + 1, 1] * scale * d1),
-        max(0.0, c[_G + 2, 2] * scale * d2),
+        scale * d0,
+        scale * d1,
+        scale * d2,
     )
 
 
 @compiled
 def _rates_at(c: Array, law: Array, w: Array, v: Array, s: Array) -> None:
-    """Write the rates at (v, σ) into `_SLOW_RATE`, `_SLIP_RATE`, `_STIFFNESS`."""
+    """Write the rates at (v, σ) into `_SLOW_RATE`, `_SLIP_RATE`, `_SLOPE`."""
     f = _rates(c, law, w, v[0], v[1], v[2], s[0], s[1], s[2])
     w[_SLOW_RATE, 0], w[_SLOW_RATE, 1], w[_SLOW_RATE, 2] = f[0], f[1], f[2]
     w[_SLIP_RATE, 0], w[_SLIP_RATE, 1], w[_SLIP_RATE, 2] = f[3], f[4], f[5]
-    w[_STIFFNESS, 0], w[_STIFFNESS, 1], w[_STIFFNESS, 2] = f[6], f[7], f[8]
+    w[_SLOPE, 0], w[_SLOPE, 1], w[_SLOPE, 2] = f[6], f[7], f[8]
 
 
 @compiled
-def _jacobian(c: Array, law: Array, v: Array, s: Array, out: Array) -> None:
-    """Write ∂σ̇/∂σ at constant v, 1/s; V and ω×ν depend on σ too, through ν = v + K σ."""
+def _jacobian(c: Array, slope: Array, v: Array, s: Array, out: Array) -> None:
+    """Write ∂σ̇/∂σ at constant v, 1/s, of the slopes F'/(V + δ); V and ω×ν depend on σ too, through ν = v + K σ."""
     x, y, turn, speed = _twist(c, v, s)
     scale = 1.0 / (speed + c[_SPEED, 1])
     direction = 1.0 / speed if speed > 0.0 else 0.0  # at rest V has a kink: its one-sided slopes average to 0
@@ -219,8 +227,7 @@ def _jacobian(c: Array, law: Array, v: Array, s: Array, out: Array) -> None:
         for i in range(3):
             out[i, j] = -(c[_PUSH + i, 0] * a0 + c[_PUSH + i, 1] * a1)
         for m in range(3):
-            slip_j = -s[m] * scale * scale * speed_j + (scale if m == j else 0.0)
-            force_j = curve(law, s[m] * scale)[1] * slip_j
+            force_j = slope[m] * ((1.0 if m == j else 0.0) - s[m] * scale * speed_j)
             for i in range(3):
                 out[i, j] -= c[_G + i, m] * force_j
 
@@ -259,7 +266,7 @@ def _solve_rest(c: Array, law: Array, w: Array, y: Array, n: Counts) -> bool:
         n[_JACOBIANS] += 1
         n[_LU] += 1
         _rates_at(c, law, w, y[_SLOW], x)
-        _jacobian(c, law, y[_SLOW], x, j)
+        _jacobian(c, w[_SLOPE], y[_SLOW], x, j)
         c0 = j[1, 1] * j[2, 2] - j[1, 2] * j[2, 1]
         c1 = j[1, 2] * j[2, 0] - j[1, 0] * j[2, 2]
         c2 = j[1, 0] * j[2, 1] - j[1, 1] * j[2, 0]
@@ -343,21 +350,32 @@ def _begin(c: Array, law: Array, w: Array, y: Array, n: Counts) -> bool:
     n[_RATES] += 1
     n[_JACOBIANS] += 1
     _rates_at(c, law, w, y[_SLOW], y[_SLIP])
-    _jacobian(c, law, y[_SLOW], y[_SLIP], w[_JACOBIAN : _JACOBIAN + 3])
+    _jacobian(c, w[_SLOPE], y[_SLOW], y[_SLIP], w[_JACOBIAN : _JACOBIAN + 3])
     total = unit
     for i in range(3):
+        w[_STIFFNESS, i] = max(0.0, c[_G + i, i] * w[_SLOPE, i])
         total += abs(w[_SLOW_RATE, i]) + abs(w[_SLIP_RATE, i]) + w[_SCALE, i]
     return bool(total < math.inf)
 
 
 @compiled
-def _first_step(w: Array, period: float) -> float:
-    """Length of the first step, s: by the way that σ has to go in the boundary layer."""
+def _is_calm(c: Array, w: Array, period: float) -> bool:
+    """Whether the rates of the wheels hold over the period: none is near the peak, V + δ stays within a tenth."""
+    a = w[_SLOW_RATE]
+    change = period * math.sqrt(a[0] * a[0] + a[1] * a[1] + c[_SPEED, 0] * a[2] * a[2])
+    return bool(w[_LIMITS, 0] == _TOLERANCE and change < 0.1 * w[_LIMITS, 1])
+
+
+@compiled
+def _first_step(w: Array, calm: bool, period: float) -> float:
+    """Length of the first step, s: by the way that the stages have to carry σ in the boundary layer."""
     h = period
     for i in range(3):
         rate = w[_STIFFNESS, i]
         if rate * period > 1.0:
-            way = abs(w[_SLIP_RATE, i]) / (rate * w[_SCALE, i] * w[_LIMITS, 0])
+            way = abs(w[_SLIP_RATE, i]) / (rate * w[_SCALE, i])
+            # Taken out, it leaves what the other wheels and the bend of the curve add to it.
+            way *= (_COUPLING_LEFT + way if calm else 1.0) / w[_LIMITS, 0]
             if way > 1.0:
                 h = min(h, 2.5 / rate * way ** (-1.0 / (_STAGES + 1)))
     return h
@@ -380,9 +398,9 @@ def _residual(c: Array, law: Array, w: Array, y: Array, h: float, n: Counts) -> 
             w[_V + j, 0],
             w[_V + j, 1],
             w[_V + j, 2],
-            s0 + w[_Z + j, 0],
-            s1 + w[_Z + j, 1],
-            s2 + w[_Z + j, 2],
+            s0 + w[_FADED + j, 0] + w[_Z + j, 0],
+            s1 + w[_FADED + j, 1] + w[_Z + j, 1],
+            s2 + w[_FADED + j, 2] + w[_Z + j, 2],
         )
         w[_SLOW_RATES + j, 0], w[_SLOW_RATES + j, 1], w[_SLOW_RATES + j, 2] = f[0], f[1], f[2]
         z0, z1, z2 = 0.0, 0.0, 0.0
@@ -390,9 +408,9 @@ def _residual(c: Array, law: Array, w: Array, y: Array, h: float, n: Counts) -> 
             z0 += _A_INVERSE[j, m] * w[_Z + m, 0]
             z1 += _A_INVERSE[j, m] * w[_Z + m, 1]
             z2 += _A_INVERSE[j, m] * w[_Z + m, 2]
-        w[_RESIDUAL + j, 0] = (f[3] - z0 * inverse) * (k0 / (shift + f[6]))
-        w[_RESIDUAL + j, 1] = (f[4] - z1 * inverse) * (k1 / (shift + f[7]))
-        w[_RESIDUAL + j, 2] = (f[5] - z2 * inverse) * (k2 / (shift + f[8]))
+        w[_RESIDUAL + j, 0] = (f[3] - w[_FADING + j, 0] - z0 * inverse) * (k0 / (shift + max(0.0, c[_G, 0] * f[6])))
+        w[_RESIDUAL + j, 1] = (f[4] - w[_FADING + j, 1] - z1 * inverse) * (k1 / (shift + max(0.0, c[_G + 1, 1] * f[7])))
+        w[_RESIDUAL + j, 2] = (f[5] - w[_FADING + j, 2] - z2 * inverse) * (k2 / (shift + max(0.0, c[_G + 2, 2] * f[8])))
     moved = 0.0
     for j in range(_STAGES):
         for i in range(3):
@@ -430,7 +448,7 @@ def _correct(w: Array, z: Complex) -> float:
 
 
 @compiled
-def _solve_stages(c: Array, law: Array, w: Array, z: Complex, y: Array, h: float, n: Counts) -> bool:
+def _solve_stages(c: Array, law: Array, w: Array, z: Complex, y: Array, h: float, calm: bool, n: Counts) -> bool:
     """Solve the stage equations of a step; False if Newton's method does not converge."""
     last = math.inf
     for iteration in range(_NEWTON_LIMIT):
@@ -440,7 +458,7 @@ def _solve_stages(c: Array, law: Array, w: Array, z: Complex, y: Array, h: float
         if not size < math.inf:
             return False
         if iteration == 0:
-            if size < 1e-3 * _NEWTON_TOLERANCE:
+            if size < (_NEWTON_CALM if calm else 1e-3 * _NEWTON_TOLERANCE):
                 return True
         elif size >= 0.95 * last:
             return bool(size < _NEWTON_TOLERANCE)
@@ -473,50 +491,70 @@ def _error(c: Array, law: Array, w: Array, z: Complex, y: Array, h: float, first
         for j in range(_STAGES):
             x += _ERROR[j] * w[_Z + j, i]
         w[_SCRATCH, i] = x
-    size = _filtered(w, z, h, w[_SLIP_RATE, 0], w[_SLIP_RATE, 1], w[_SLIP_RATE, 2])
+    d = w[_DRIFT]
+    size = _filtered(w, z, h, d[0], d[1], d[2])
     if first and size > w[_LIMITS, 0]:  # σ̇ of a boundary layer says little about a step beyond it: filter once more
         n[_RATES] += 1
         v, s, e = y[_SLOW], y[_SLIP], w[_ERR]
         f = _rates(c, law, w, v[0], v[1], v[2], s[0] + e[0], s[1] + e[1], s[2] + e[2])
-        size = _filtered(w, z, h, f[3], f[4], f[5])
+        r = w[_SLIP_RATE]  # less the layer
+        size = _filtered(w, z, h, f[3] - r[0] + d[0], f[4] - r[1] + d[1], f[5] - r[2] + d[2])
     return size
 
 
 @compiled
-def _extrapolate(w: Array, ratio: float) -> None:
-    """Guess Z by the polynomial of the last step, continued over a step `ratio` times as long."""
+def _start_plainly(w: Array, i: int, guess: float, h: float) -> None:
+    """Leave all of a wheel's σ̇ to the stages; guess Z by a steady rate."""
+    w[_DRIFT, i] = w[_SLIP_RATE, i]
+    for j in range(_STAGES):
+        w[_FADING + j, i] = 0.0
+        w[_FADED + j, i] = 0.0
+        w[_Z + j, i] = _NODES[j] * h * guess
+
+
+@compiled
+def _take_out_layer(c: Array, law: Array, w: Array, y: Array, h: float, n: Counts) -> None:
+    """Split σ̇ at the start of a calm step into a layer that fades at the wheel's own rate and the drift that is left.
+
+    The drift is that of the slow manifold, which moves with v: it undoes what v̇ makes of σ̇ until the end.
+    """
+    n[_RATES] += 1
+    v, s, a = y[_SLOW], y[_SLIP], w[_SLOW_RATE]
+    f = _rates(c, law, w, v[0] + h * a[0], v[1] + h * a[1], v[2] + h * a[2], s[0], s[1], s[2])
+    w[_SCRATCH, 0], w[_SCRATCH, 1], w[_SCRATCH, 2] = f[0] - a[0], f[1] - a[1], f[2] - a[2]
+    w[_DRIFT, 0], w[_DRIFT, 1], w[_DRIFT, 2] = f[3], f[4], f[5]
     for i in range(3):
         for j in range(_STAGES):
-            w[_Z + j, i] = -w[_LAST + _STAGES - 1, i]
-    for j in range(_STAGES):
-        t = 1.0 + ratio * _NODES[j]
-        p = t
-        for m in range(_STAGES):
-            p *= t - _NODES[m]
-        for m in range(_STAGES):
-            value = p * _BARYCENTRIC[m] / (t - _NODES[m])
-            for i in range(3):
-                w[_Z + j, i] += value * w[_LAST + m, i]
+            w[_V + j, i] = v[i] + _NODES[j] * h * (a[i] + 0.5 * _NODES[j] * w[_SCRATCH, i])
+        k, rate = w[_STIFFNESS, i], w[_SLIP_RATE, i]
+        if k * h < _SLOW_ENOUGH:
+            _start_plainly(w, i, rate, h)
+            continue
+        drift = (w[_DRIFT, i] - rate) / (h * k)
+        w[_DRIFT, i] = drift
+        for j in range(_STAGES):
+            left = math.exp(-k * h * _NODES[j])
+            w[_FADING + j, i] = (rate - drift) * left
+            w[_FADED + j, i] = (rate - drift) * (1.0 - left) / k
+            w[_Z + j, i] = _NODES[j] * h * drift
 
 
 @compiled
 def _attempt(
-    c: Array, law: Array, w: Array, z: Complex, y: Array, h: float, last: float, first: bool, n: Counts
+    c: Array, law: Array, w: Array, z: Complex, y: Array, h: float, calm: bool, first: bool, n: Counts
 ) -> float:
-    """Solve a step of length h after one of length `last` (0: none); return its error, infinite without a solution."""
+    """Solve a step of length h; return its error, infinite without a solution."""
     n[_LU] += _PAIRS
     for p in range(_PAIRS):
         _invert(_MU[p] / h, w[_JACOBIAN : _JACOBIAN + 3], z[3 * p : 3 * p + 3])
-    if last > 0.0:
-        _extrapolate(w, h / last)
+    if calm:
+        _take_out_layer(c, law, w, y, h, n)
     else:
-        for j in range(_STAGES):
-            for i in range(3):
-                w[_Z + j, i] = 0.0
-    for j in range(_STAGES):
         for i in range(3):
-            w[_V + j, i] = y[_SLOW, i] + _NODES[j] * h * w[_SLOW_RATE, i]
-    if not _solve_stages(c, law, w, z, y, h, n):
+            _start_plainly(w, i, 0.0, h)
+            for j in range(_STAGES):
+                w[_V + j, i] = y[_SLOW, i] + _NODES[j] * h * w[_SLOW_RATE, i]
+    if not _solve_stages(c, law, w, z, y, h, calm, n):
         return math.inf
     return _error(c, law, w, z, y, h, first, n)
 
@@ -526,8 +564,7 @@ def _accept(c: Array, w: Array, y: Array, h: float) -> None:
     """Move to the end of a solved step: pose and wheel angles by the method's quadrature, v and σ of the last stage."""
     for j in range(_STAGES):
         for i in range(3):
-            w[_ERR, i] = y[_SLIP, i] + w[_Z + j, i]
-            w[_LAST + j, i] = w[_Z + j, i]
+            w[_ERR, i] = y[_SLIP, i] + w[_FADED + j, i] + w[_Z + j, i]
         x0, x1, x2, _ = _twist(c, w[_V + j], w[_ERR])
         w[_SLOW_RATES + j, 0], w[_SLOW_RATES + j, 1], w[_SLOW_RATES + j, 2] = x0, x1, x2
         for i in range(3):
@@ -545,7 +582,7 @@ def _accept(c: Array, w: Array, y: Array, h: float) -> None:
         y[_POSE, 2] = turn  # the last node is the end of the step
     for i in range(3):
         y[_SLOW, i] = w[_V + _STAGES - 1, i]
-        y[_SLIP, i] += w[_Z + _STAGES - 1, i]
+        y[_SLIP, i] += w[_FADED + _STAGES - 1, i] + w[_Z + _STAGES - 1, i]
 
 
 @compiled
@@ -558,20 +595,21 @@ def _relaxation(w: Array, rest: float) -> float:
 
 
 @compiled
-def _advance(c: Array, law: Array, y: Array, torque: Array, period: float, w: Array, z: Complex, n: Counts) -> bool:
+def advance(c: Array, law: Array, y: Array, torque: Array, period: float, w: Array, z: Complex, n: Counts) -> bool:
     """Integrate one period with the torque held; False if that failed, y being the state that was reached."""
     _drive(c, w, torque)
     _skip_layer(c, law, w, y, period, n)
     if not _begin(c, law, w, y, n):
         return False
-    rest, last, first = period, 0.0, True
-    h = _first_step(w, period)
+    calm = _is_calm(c, w, period)
+    rest, first = period, True
+    h = _first_step(w, calm, period)
     for _ in range(_ATTEMPT_LIMIT):
-        h = min(h, 0.5 * period)
+        h = min(h, period if calm else 0.5 * period)
         if 1.2 * h >= rest:
             h = rest
         w[_LIMITS, 2] = _relaxation(w, rest - h)
-        error = _attempt(c, law, w, z, y, h, last, first, n) / (w[_LIMITS, 0] * w[_LIMITS, 2])
+        error = _attempt(c, law, w, z, y, h, calm, first, n) / (w[_LIMITS, 0] * w[_LIMITS, 2])
         if error < 1.0:
             _accept(c, w, y, h)
             n[_STEPS] += 1
@@ -580,12 +618,11 @@ def _advance(c: Array, law: Array, y: Array, torque: Array, period: float, w: Ar
                 return True
             if not _begin(c, law, w, y, n):
                 return False
-            last, first = h, False
+            calm = _is_calm(c, w, period)
+            first = False
             h *= min(10.0, 1.1 * (error + 1e-30) ** (-1.0 / (_STAGES + 1)))
         else:
             n[_REJECTED] += 1
-            if not error < math.inf:
-                last = 0.0
             first = True
             h *= max(0.1, 0.8 * error ** (-1.0 / (_STAGES + 1)))
             if not h > _SHORTEST * period:
@@ -593,7 +630,32 @@ def _advance(c: Array, law: Array, y: Array, torque: Array, period: float, w: Ar
     return False
 
 
+@compiled
+def observe(c: Array, law: Array, y: Array, out: Array) -> None:
+    """Write what can be seen of a state: pose, body twist, wheel speeds, slip ratios and wheel forces, 15 numbers."""
+    x, y_, turn, speed = _twist(c, y[_SLOW], y[_SLIP])
+    scale = 1.0 / (speed + c[_SPEED, 1])
+    for i in range(3):
+        out[3 * _SEEN_POSE + i] = y[_POSE, i]
+        slip = y[_SLIP, i]
+        rim = c[_JR + i, 0] * x + c[_JR + i, 1] * y_ + c[_JR + i, 2] * turn - slip  # r φ̇
+        out[3 * _SEEN_WHEEL_SPEED + i] = c[_WHEEL, 0] * rim
+        out[3 * _SEEN_SLIP_RATIO + i] = slip * scale
+        out[3 * _SEEN_FORCE + i] = -curve(law, slip * scale)[0]
+    out[3 * _SEEN_TWIST], out[3 * _SEEN_TWIST + 1], out[3 * _SEEN_TWIST + 2] = x, y_, turn
+
+
 # ----------------------------------------------------------------------------------------------------------- Plant
+
+
+class Observation(NamedTuple):
+    """What can be seen of a plant, arrays of shape (3,); units and frames as those of its properties."""
+
+    pose: Array
+    body_twist: Array
+    wheel_speed: Array
+    slip_ratio: Array
+    wheel_force: Array
 
 
 class Plant:
@@ -655,9 +717,7 @@ class Plant:
         if not period_s > 0.0:
             raise OmnibotError(f"a period of {period_s:g} s: it must be above 0")
         self._torque[:] = torque_Nm
-        if not _advance(
-            self._constants, self._law, self._state, self._torque, period_s, self._work, self._inverses, self._count
-        ):
+        if not advance(*self.arrays[:3], self._torque, period_s, *self.arrays[3:]):
             self.diverged = True
 
     def accelerations(self, torque_Nm: ArrayLike) -> tuple[Array, Array]:
@@ -671,14 +731,29 @@ class Plant:
     # ------------------------------------------------------------------------------------------------------- State
 
     @property
+    def arrays(self) -> tuple[Array, Array, Array, Array, Complex, Counts]:
+        """What `advance` and `observe` work on: constants, traction law, state; work space, inverses, counters."""
+        return self._constants, self._law, self._state, self._work, self._inverses, self._count
+
+    def observe(self) -> Observation:
+        """Everything that can be seen, at once."""
+        seen = np.empty(3 * _SEEN_ROWS)
+        observe(self._constants, self._law, self._state, seen)
+        if self.traction.rigid:
+            _, acceleration = self.accelerations(self._torque)
+            force = (self._torque - self.robot.wheel_inertia_kg_m2 * acceleration) / self.robot.wheel_radius_m
+            seen[3 * _SEEN_FORCE :] = force
+        return Observation(*seen.reshape(_SEEN_ROWS, 3))
+
+    @property
     def pose(self) -> Array:
         """Position of the body frame in m and heading in rad, in the world frame, shape (3,)."""
-        return np.array(self._state[_POSE])
+        return self.observe().pose
 
     @property
     def body_twist(self) -> Array:
         """ν: velocity of the body in its own frame, m/s, m/s, rad/s, shape (3,)."""
-        return np.asarray(self._state[_SLOW] + self._constants[_K : _K + 3] @ self._state[_SLIP])
+        return self.observe().body_twist
 
     @property
     def slip_velocity(self) -> Array:
@@ -693,12 +768,12 @@ class Plant:
     @property
     def slip_ratio(self) -> Array:
         """Slip ratios s = σ / (V + δ), shape (3,)."""
-        return np.asarray(self._state[_SLIP] / (self.speed + self.delta_m_per_s))
+        return self.observe().slip_ratio
 
     @property
     def wheel_speed(self) -> Array:
         """φ̇, rad/s, shape (3,)."""
-        return np.asarray((self.robot.Jr @ self.body_twist - self._state[_SLIP]) / self.robot.wheel_radius_m)
+        return self.observe().wheel_speed
 
     @property
     def wheel_angle(self) -> Array:
@@ -711,10 +786,7 @@ class Plant:
 
         Of a rigid robot it is the one that keeps the wheels from slipping under the torque of the last step.
         """
-        if not self.traction.rigid:
-            return -self.traction.force(self.slip_ratio)
-        _, acceleration = self.accelerations(self._torque)
-        return (self._torque - self.robot.wheel_inertia_kg_m2 * acceleration) / self.robot.wheel_radius_m
+        return self.observe().wheel_force
 
     # ---------------------------------------------------------------------------------------------------- Counters
 

@@ -219,7 +219,8 @@ def test_jacobian_is_the_derivative_of_the_rates(kind, speed):
             below = plant_module._rates(c, law, w, *v, *(slip - step))
             numeric[:, j] = (np.array(above[3:6]) - np.array(below[3:6])) / (2.0 * step[j])
         analytic = np.empty((3, 3))
-        plant_module._jacobian(c, law, v, slip, analytic)
+        plant_module._rates_at(c, law, w, v, slip)
+        plant_module._jacobian(c, w[plant_module._SLOPE], v, slip, analytic)
         # Weak terms (V by σ is one) are some 1e-4 of the largest.
         np.testing.assert_allclose(analytic, numeric, rtol=0.0, atol=2e-8 / (epsilon * (speed + DELTA)) * 77.0)
 
@@ -371,7 +372,7 @@ def test_period_may_be_any(period):
 @pytest.mark.parametrize("epsilon", EPSILONS)
 @pytest.mark.parametrize("speed", [0.0, 0.5])
 def test_work_of_a_tracking_run_is_bounded(kind, epsilon, speed):
-    """Measured: 2 to 6 steps and 4 to 24 iterations a period; an explicit method would need 1e8 at the small end."""
+    """Measured: 1 to 5 steps and 1 to 10 iterations a period; an explicit method would need 1e8 at the small end."""
     plant = make_plant(kind, epsilon)
     plant.reset(np.zeros(3), [speed, 0.0, 0.3])
     rng = np.random.default_rng(10)
@@ -380,9 +381,9 @@ def test_work_of_a_tracking_run_is_bounded(kind, epsilon, speed):
         smooth = 0.04 * np.sin(0.02 * k + np.array([0.0, 2.0, 4.0]))
         plant.step(smooth + 0.002 * rng.normal(size=3), PERIOD)
     assert not plant.diverged
-    assert 2 * periods <= plant.steps <= 8 * periods
+    assert periods <= plant.steps <= 7 * periods
     assert plant.rejected <= periods
-    assert 2 * plant.steps <= plant.newton_iterations <= 30 * periods
+    assert plant.steps <= plant.newton_iterations <= 16 * periods
     assert plant.njev <= 12 * periods
     assert 3 * plant.steps <= plant.nlu <= 30 * periods
     assert plant.nfev >= 5 * plant.newton_iterations
