@@ -8,6 +8,7 @@ is the most negative raw value of a signed physical signal, and a signal called 
 import math
 import struct
 import zlib
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple, cast
 
@@ -117,14 +118,17 @@ class MessageCodec:
         self.length = message.length
         self.fields = tuple(_field(signal) for signal in message.signals if signal.name != "crc")
         self.choices = {s.name: {str(v): int(k) for k, v in s.choices.items()} for s in message.signals if s.choices}
+        self._labels = {name: {k: v for v, k in choices.items()} for name, choices in self.choices.items()}
+        self._to_raw = tuple((field.start, _to_raw(field)) for field in self.fields)
+        self._from_raw = tuple((field.start, field.mask, _from_raw(field)) for field in self.fields)
         self._has_crc = any(signal.name == "crc" for signal in message.signals)
         self._id_crc = crc8(self.arbitration_id.to_bytes(2, "little"))
 
     def pack(self, *values: float) -> bytes:
         """Return the payload of the values, one for each of ``fields``, in SI units."""
         word = 0
-        for field, value in zip(self.fields, values, strict=True):
-            word |= _to_raw(field, value) << field.start
+        for (start, to_raw), value in zip(self._to_raw, values, strict=True):
+            word |= to_raw(value) << start
         data = word.to_bytes(self.length, "little")
         if not self._has_crc:
             return data
@@ -137,7 +141,7 @@ class MessageCodec:
         if self._has_crc and crc8(data[:-1], self._id_crc) ^ 0xFF != data[-1]:
             raise WireError(f"{self.name} {data.hex()} is damaged: its CRC is wrong")
         word = int.from_bytes(data, "little")
-        return tuple([_from_raw(field, word >> field.start & field.mask) for field in self.fields])
+        return tuple([from_raw(word >> start & mask) for start, mask, from_raw in self._from_raw])
 
     def named(self, data: bytes) -> dict[str, float]:
         """Return the values of a payload by name."""
@@ -145,21 +149,32 @@ class MessageCodec:
 
     def label(self, signal: str, value: float) -> str:
         """Return the name that the definition gives to a value of a signal."""
-        return next((name for name, number in self.choices[signal].items() if number == value), f"{value:g}")
+        return self._labels[signal].get(int(value), f"{value:g}")
 
 
-def _to_raw(field: Field, value: float) -> int:
+def _to_raw(field: Field) -> Callable[[float], int]:
+    """Return the function from a value of a field to its raw bits: a closure, because every frame calls it."""
     if field.is_float:
-        return _float_bits(field, value)
+        return lambda value: _float_bits(field, value)
     if not field.raw_max:
-        if not (0 <= value <= field.mask and value == int(value)):
-            raise OmnibotError(f"{field.name} = {value} must be a whole number, 0 … {field.mask}")
-        return int(value)
-    steps = value * field.steps_per_unit
-    if math.isnan(steps):
-        return field.sign
-    steps = max(-field.raw_max, min(field.raw_max, steps))
-    return int(steps + math.copysign(0.5, steps)) & field.mask
+        return lambda value: _whole(field, value)
+    mask, sign, largest, steps_per_unit = field.mask, field.sign, field.raw_max, field.steps_per_unit
+
+    def physical(value: float) -> int:
+        steps = value * steps_per_unit
+        if steps >= 0.0:
+            return int(steps + 0.5) if steps < largest else largest
+        if steps < 0.0:
+            return int(steps - 0.5 if steps > -largest else -largest) & mask
+        return sign  # not a number
+
+    return physical
+
+
+def _whole(field: Field, value: float) -> int:
+    if not (0 <= value <= field.mask and value == int(value)):
+        raise OmnibotError(f"{field.name} = {value} must be a whole number, 0 … {field.mask}")
+    return int(value)
 
 
 def _float_bits(field: Field, value: float) -> int:
@@ -169,14 +184,14 @@ def _float_bits(field: Field, value: float) -> int:
         raise OmnibotError(f"{field.name} = {value} is too large for single precision") from error
 
 
-def _from_raw(field: Field, raw: int) -> float:
+def _from_raw(field: Field) -> Callable[[int], float]:
+    """Return the function from the raw bits of a field to its value."""
     if field.is_float:
-        return cast(float, struct.unpack("<f", raw.to_bytes(4, "little"))[0])
+        return lambda raw: cast(float, struct.unpack("<f", raw.to_bytes(4, "little"))[0])
     if not field.raw_max:
-        return raw
-    if raw == field.sign:
-        return math.nan
-    return ((raw ^ field.sign) - field.sign) * field.unit_per_step
+        return lambda raw: raw
+    sign, unit_per_step = field.sign, field.unit_per_step
+    return lambda raw: ((raw ^ sign) - sign) * unit_per_step if raw != sign else math.nan
 
 
 class Codec:

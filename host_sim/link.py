@@ -2,10 +2,10 @@
 
 import contextlib
 import errno
-import math
 import time
 import zlib
 from collections.abc import Callable, Mapping, Sequence
+from math import isfinite
 from pathlib import Path
 from typing import NamedTuple
 
@@ -111,6 +111,7 @@ class Link:
         self.forget_rounding()
         self._pose, self._wheels, self._sync = codec["POSE"], codec["WHEEL_SPEED"], codec["SYNC"]
         self._torque, self._slip = codec["TORQUE"], codec["SLIP"]
+        self._speed_step = self._wheels.fields[0].unit_per_step
 
     # ---- frames
 
@@ -120,7 +121,7 @@ class Link:
         self._send(message.arbitration_id, message.pack(*values))
 
     def _send(self, arbitration_id: int, data: bytes) -> None:
-        message = can.Message(arbitration_id=arbitration_id, is_extended_id=False, data=data, check=False)
+        message = can.Message(arbitration_id=arbitration_id, is_extended_id=False, data=data)
         deadline = time.monotonic() + self.timeout_s
         while True:
             try:
@@ -354,8 +355,8 @@ class Link:
         Without it a steady speed is wrong by the same part of a step in every frame, and dead reckoning drifts.
         """
         wanted = [speed + rest for speed, rest in zip(wheel_speed, self._speed_rest, strict=True)]
-        step = self._wheels.fields[0].unit_per_step
-        self._speed_rest = [math.remainder(speed, step) if math.isfinite(speed) else 0.0 for speed in wanted]
+        step = self._speed_step
+        self._speed_rest = [speed - step * round(speed / step) if isfinite(speed) else 0.0 for speed in wanted]
         return wanted
 
     def _answer(self, counter: int) -> Answer | None:
