@@ -18,7 +18,7 @@ from host_sim.link import OTHER_HOST, Answer, Link, SilentError
 from host_sim.plant import Plant
 from host_sim.robot import Array, Robot
 from host_sim.sensors import IDEAL_SENSORS, Readings, Sensors
-from host_sim.trace import Trace, TraceRecorder
+from host_sim.trace import Trace, TraceRecorder, Vector
 from host_sim.trajectory import Trajectory
 
 # A run is lost when the tracked point is this far from where it should be.
@@ -93,6 +93,12 @@ def start_state(robot: Robot, trajectory: Trajectory) -> tuple[Array, Array]:
     return pose, np.array([point_x + offset * velocity[2], point_y, velocity[2]])
 
 
+def reference_of(robot: Robot, trajectory: Trajectory) -> Array:
+    """Return tracked point (m) and heading (rad) of every tick, rounded as the firmware has them, shape (n, 3)."""
+    ticks = round(trajectory.duration_us * 1e-6 / robot.control_period_s) + 1
+    return trajectory.rounded().evaluate(robot.control_period_s * np.arange(ticks), derivatives=0)[:, 0]
+
+
 def drive(
     link: Link,
     plant: Plant,
@@ -118,14 +124,13 @@ def drive(
     """
     readings = Readings(sensors, robot.control_period_s)
     period_s = robot.control_period_s
-    ticks = round(trajectory.duration_us * 1e-6 / period_s) + 1
-    reference = trajectory.rounded().evaluate(period_s * np.arange(ticks), derivatives=0)[:, 0]
-    recorder, timing = TraceRecorder(ticks), Timing()
+    reference = reference_of(robot, trajectory).tolist()
+    recorder, timing = TraceRecorder(len(reference)), Timing()
     status, reason = Status.COMPLETED, ""
     begin_s = time.perf_counter()
     try:
-        for tick in range(ticks):
-            ended = _step(link, plant, robot, tick, reference[tick], readings, recorder, timing)
+        for tick, point in enumerate(reference):
+            ended = _step(link, plant, robot, tick, point, readings, recorder, timing)
             if ended is not None:
                 status, reason = ended
                 break
@@ -145,7 +150,7 @@ def _step(
     plant: Plant,
     robot: Robot,
     tick: int,
-    reference: Array,
+    reference: Vector,
     readings: Readings,
     recorder: TraceRecorder,
     timing: Timing,
@@ -163,7 +168,7 @@ def _step(
     record_row(recorder, plant, robot, link.time_s, tick, reference, answer)
     ended = left_tracking(link, answer)
     if ended is None:
-        plant.step(np.array(answer.torque_Nm), robot.control_period_s)
+        plant.step(answer.torque_Nm, robot.control_period_s)
     return ended
 
 
@@ -180,7 +185,7 @@ def tracked_point(plant: Plant, robot: Robot) -> tuple[float, float]:
     return x1 - offset * math.sin(heading), x2 + offset * math.cos(heading)
 
 
-def diverged(plant: Plant, robot: Robot, time_s: float, reference: Array) -> tuple[Status, str] | None:
+def diverged(plant: Plant, robot: Robot, time_s: float, reference: Vector) -> tuple[Status, str] | None:
     """Return why a run is lost at a time, if it is."""
     if plant.diverged:
         return Status.DIVERGED, f"the plant could not be integrated beyond {time_s:.3f} s"
@@ -205,19 +210,20 @@ def record_row(
     robot: Robot,
     time_s: float,
     tick: int,
-    reference: Array,
+    reference: Vector,
     answer: Answer,
     step_time_us: float = 0.0,
 ) -> None:
     """Add the row of a tick: the plant as it is, and the torque that it gets until the next."""
+    seen = plant.observe()
     recorder.append(
         tick=tick,
         time_s=time_s,
-        pose=plant.pose,
-        body_twist=plant.body_twist,
-        wheel_speed=plant.wheel_speed,
-        slip_ratio=plant.slip_ratio,
-        wheel_force=plant.wheel_force,
+        pose=seen.pose.tolist(),
+        body_twist=seen.body_twist.tolist(),
+        wheel_speed=seen.wheel_speed.tolist(),
+        slip_ratio=seen.slip_ratio.tolist(),
+        wheel_force=seen.wheel_force.tolist(),
         torque=answer.torque_Nm,
         point=tracked_point(plant, robot),
         reference_point=reference[:2],

@@ -696,6 +696,7 @@ class Plant:
         self._constants = _constants(robot, traction, speed_length_m, delta_m_per_s)
         self._state = np.zeros((4, 3))
         self._torque = np.zeros(3)
+        self._observation: Observation | None = None
         self._work = np.zeros((_WORK_ROWS, 3))
         self._inverses = np.zeros((4 * _PAIRS, 3), dtype=np.complex128)
         self._count = np.zeros(_COUNTERS, dtype=np.int64)
@@ -710,6 +711,7 @@ class Plant:
         self._state[_SLOW] = np.asarray(twist, dtype=np.float64) - self._constants[_K : _K + 3] @ self._state[_SLIP]
         self._state[_ANGLE] = 0.0
         self._torque[:] = 0.0
+        self._observation = None
         self.diverged = False
 
     def step(self, torque_Nm: ArrayLike, period_s: float) -> None:
@@ -732,17 +734,27 @@ class Plant:
 
     @property
     def arrays(self) -> tuple[Array, Array, Array, Array, Complex, Counts]:
-        """What `advance` and `observe` work on: constants, traction law, state; work space, inverses, counters."""
+        """What `advance` and `observe` work on: constants, traction law, state; work space, inverses, counters.
+
+        Whoever takes them may move the state: what was seen before is forgotten.
+        """
+        self._observation = None
         return self._constants, self._law, self._state, self._work, self._inverses, self._count
 
     def observe(self) -> Observation:
-        """Everything that can be seen, at once."""
+        """Everything that can be seen, at once; read-only, and computed once a state."""
+        if self._observation is None:
+            self._observation = self._observe()
+        return self._observation
+
+    def _observe(self) -> Observation:
         seen = np.empty(3 * _SEEN_ROWS)
         observe(self._constants, self._law, self._state, seen)
         if self.traction.rigid:
             _, acceleration = self.accelerations(self._torque)
             force = (self._torque - self.robot.wheel_inertia_kg_m2 * acceleration) / self.robot.wheel_radius_m
             seen[3 * _SEEN_FORCE :] = force
+        seen.setflags(write=False)
         return Observation(*seen.reshape(_SEEN_ROWS, 3))
 
     @property

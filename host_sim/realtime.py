@@ -16,11 +16,11 @@ from typing import Any
 
 import numpy as np
 
-from host_sim.drive import Drive, Status, diverged, left_tracking, record_row, wrapped_pose
+from host_sim.drive import Drive, Status, diverged, left_tracking, record_row, reference_of, wrapped_pose
 from host_sim.errors import OmnibotError
 from host_sim.link import Answer, Link, SilentError
 from host_sim.plant import Plant
-from host_sim.robot import Array, Robot
+from host_sim.robot import Robot
 from host_sim.sensors import IDEAL_SENSORS, Readings, Sensors
 from host_sim.trace import TraceRecorder
 from host_sim.trajectory import Trajectory
@@ -196,10 +196,8 @@ class _RealTimeDrive:
     def __init__(self, link: Link, plant: Plant, robot: Robot, trajectory: Trajectory, sensors: Sensors) -> None:
         self.link, self.plant, self.robot = link, plant, robot
         self.period_s = robot.control_period_s
-        self.ticks = round(trajectory.duration_us * 1e-6 / self.period_s) + 1
-        self.reference: Array = trajectory.rounded().evaluate(self.period_s * np.arange(self.ticks), derivatives=0)[
-            :, 0
-        ]
+        self.reference = reference_of(robot, trajectory)
+        self.ticks = len(self.reference)
         self.readings = Readings(sensors, self.period_s)
         self.recorder = TraceRecorder(self.ticks)
         self.timing = RealTiming(1e6 * self.period_s)

@@ -115,4 +115,5 @@ class Readings:
         speed = wheels.wheel_speed
         if self._encoders is not None:
             speed = self._encoders.speed(tick, wheels.wheel_angle, speed)
-        return [float(value) for value in speed]
+        values: list[float] = speed.tolist()
+        return values

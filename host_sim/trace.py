@@ -82,6 +82,9 @@ def _places() -> tuple[int | slice, ...]:
 
 
 PLACES = _places()
+FIRST = {
+    column.name: place if isinstance(place, int) else place.start for column, place in zip(COLUMNS, PLACES, strict=True)
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,6 +121,13 @@ class Trace:
             if array.shape != shape or array.dtype != kind:
                 found = f"{array.dtype} of shape {array.shape}"
                 raise ValueError(f"column {column.name} is {found} instead of {np.dtype(kind)} of shape {shape}")
+
+    @classmethod
+    def of_rows(cls, rows: Array) -> "Trace":
+        """Take copies of the columns of rows, shape (n, ROW_WIDTH)."""
+        arrays = {column.name: rows[:, place].copy() for column, place in zip(COLUMNS, PLACES, strict=True)}
+        tick = arrays.pop("tick").astype(np.int64)
+        return cls(tick=tick, **arrays)
 
     def __len__(self) -> int:
         return len(self.tick)
@@ -192,21 +202,15 @@ class TraceRecorder:
         """Add a copy of the values of one tick, in a few microseconds; units and frames as in the table above."""
         if self._count == len(self._rows):
             self._rows = np.concatenate([self._rows, np.empty_like(self._rows)])
-        row = self._rows[self._count]
-        values = (
-            *(tick, time_s, pose, body_twist, wheel_speed, slip_ratio, wheel_force, torque),
-            *(point, reference_point, reference_heading, mu, step_time_us),
-        )
-        for place, value in zip(PLACES, values, strict=True):
-            row[place] = value
+        self._rows[self._count] = [
+            *(tick, time_s, *pose, *body_twist, *wheel_speed, *slip_ratio, *wheel_force, *torque),
+            *(*point, *reference_point, reference_heading, *mu, step_time_us),
+        ]
         self._count += 1
 
     def to_trace(self) -> Trace:
         """Return a copy of what was recorded so far."""
-        rows = self._rows[: self._count]
-        arrays = {column.name: rows[:, place].copy() for column, place in zip(COLUMNS, PLACES, strict=True)}
-        tick = arrays.pop("tick").astype(np.int64)
-        return Trace(tick=tick, **arrays)
+        return Trace.of_rows(self._rows[: self._count])
 
 
 def compare(a: Trace, b: Trace) -> list[str]:

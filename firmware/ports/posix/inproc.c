@@ -31,3 +31,45 @@ EXPORTED void omnibot_tick(void *instance)
 {
     app_tick(instance);
 }
+
+static void receive_sensors(app_t *app, uint8_t counter, const omnibot_sensors_t *sensors)
+{
+    const float *x = sensors->pose, *speed = sensors->wheel_speed_rad_per_s;
+    frame_t frame;
+    pose_encode(&frame, app->node, &(pose_message_t){x[0], x[1], x[2], counter});
+    app_receive(app, &frame);
+    wheel_speed_encode(&frame, app->node, &(wheel_speed_message_t){speed[0], speed[1], speed[2], counter});
+    app_receive(app, &frame);
+}
+
+/// Empties the outbox; -1 unless TORQUE and SLIP are in it.
+static int32_t take_answer(app_t *app, omnibot_answer_t *answer)
+{
+    torque_message_t torque;
+    slip_message_t slip;
+    bool has_torque = false, has_slip = false;
+    frame_t frame;
+    while (app_transmit(app, &frame)) {
+        const int function = frame.id >> FRAME_NODE_BITS;
+        has_torque |= function == TORQUE_FUNCTION && torque_decode(&torque, &frame) == DECODE_OK;
+        has_slip |= function == SLIP_FUNCTION && slip_decode(&slip, &frame) == DECODE_OK;
+    }
+    if (!has_torque || !has_slip) {
+        return -1;
+    }
+    *answer = (omnibot_answer_t){{torque.wheel1_Nm, torque.wheel2_Nm, torque.wheel3_Nm},
+                                 {slip.mu1_m_per_s, slip.mu2_m_per_s, slip.mu3_m_per_s}};
+    return torque.mode;
+}
+
+EXPORTED int32_t omnibot_lockstep(void *instance, uint32_t tick, const omnibot_sensors_t *sensors,
+                                  omnibot_answer_t *answer)
+{
+    app_t *app = instance;
+    const uint8_t counter = (uint8_t)(tick & 0xFu);
+    frame_t frame;
+    receive_sensors(app, counter, sensors);
+    sync_encode(&frame, app->node, &(sync_message_t){tick, counter});
+    app_receive(app, &frame);
+    return take_answer(app, answer);
+}
