@@ -15,7 +15,8 @@ from rich.console import Console
 from rich.progress import track
 from rich.text import Text
 
-from host_sim.codec import DBC_FILE, Codec
+from host_sim.busload import bus_load, load_table
+from host_sim.codec import DBC_FILE, Codec, load_messages
 from host_sim.errors import OmnibotError
 from host_sim.flash import IMAGE_FILE, flash
 from host_sim.link import Link, open_bus
@@ -258,6 +259,20 @@ def flash_board(
     flash(runner, image, dry_run, typer.echo)
     if not dry_run:
         print(f"flashed and verified: {image}")  # noqa: T201
+
+
+@app.command()
+def busload(
+    nodes: Annotated[int, typer.Option(help="robots on one bus, 1 to 16")] = 1,
+    bitrate: Annotated[int, typer.Option("-b", "--bitrate", help="bit/s")] = 1_000_000,
+    dbc: Annotated[Path, typer.Option(help="wire definition")] = DBC_FILE,
+    as_json: Annotated[bool, typer.Option("--json", help="print JSON instead of the table")] = False,
+) -> None:
+    """Compute load and worst-case response times of the bus from the wire definition; fails where they do not hold."""
+    load = bus_load(load_messages(dbc), nodes, bitrate)
+    print(json.dumps(load.as_dict(), indent=2) if as_json else load_table(load))  # noqa: T201
+    if load.failures:
+        raise RunFailedError("; ".join(load.failures))
 
 
 def main() -> None:

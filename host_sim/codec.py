@@ -194,21 +194,30 @@ def _from_raw(field: Field) -> Callable[[int], float]:
     return lambda raw: ((raw ^ sign) - sign) * unit_per_step if raw != sign else math.nan
 
 
+def load_messages(dbc: Path) -> list[Message]:
+    """Read the messages of a wire definition."""
+    return _read(dbc)[1]
+
+
+def _read(dbc: Path) -> tuple[bytes, list[Message]]:
+    try:
+        content = dbc.read_bytes()
+        database = cantools.database.load_string(content.decode("utf-8"), "dbc")
+    except (OSError, UnicodeDecodeError, cantools.Error) as error:
+        raise OmnibotError(f"cannot read the wire definition {dbc}: {error}") from error
+    return content, cast(Database, database).messages
+
+
 class Codec:
     """Every message of a wire definition, by name, for one node."""
 
     def __init__(self, dbc: Path = DBC_FILE, node: int = 0) -> None:
         if not 0 <= node < NODES:
             raise OmnibotError(f"node {node}: must be 0 … {NODES - 1}")
-        try:
-            content = dbc.read_bytes()
-            database = cantools.database.load_string(content.decode("utf-8"), "dbc")
-        except (OSError, UnicodeDecodeError, cantools.Error) as error:
-            raise OmnibotError(f"cannot read the wire definition {dbc}: {error}") from error
+        content, messages = _read(dbc)
         self.node = node
         # Line ends are a matter of the checkout, not of the wire.
         self.protocol_hash = zlib.crc32(content.replace(b"\r\n", b"\n"))
-        messages = cast(Database, database).messages
         try:
             self._by_name = {message.name: MessageCodec(message, node) for message in messages}
         except (ArithmeticError, ValueError) as error:

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import can
 import numpy as np
 
+from host_sim.busload import worst_case_bits
 from host_sim.codec import NODES, Codec, WireError
 from host_sim.errors import OmnibotError
 from host_sim.pil import IMAGE_FILE, EmulatedBoard
@@ -61,10 +62,9 @@ class BusStatistics:
         self.bits = 0
 
     def add(self, length_bytes: int) -> None:
-        """Count a frame of so many data bytes, worst-case stuffing included (ISO 11898-1: 34 stuffable bits + data)."""
-        stuffable = 34 + 8 * length_bytes
+        """Count a frame of so many data bytes, worst-case stuffing included."""
         self.frames += 1
-        self.bits += stuffable + 13 + (stuffable - 1) // 4
+        self.bits += worst_case_bits(length_bytes)
 
     def load_fraction(self, duration_s: float, bit_rate: float = 1e6) -> float:
         """Share of the bus taken over a time."""

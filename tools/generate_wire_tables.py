@@ -13,27 +13,11 @@ from pathlib import Path
 import cantools.database
 from cantools.database.can import Database, Message, Signal
 
-BIT_RATE = 1e6
-TICK_MS = 1
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from host_sim.busload import bus_load
+
 BLOCK = re.compile(r"(?<=<!-- wire: )(\w+)( -->\n)(.*?)(?=<!-- end -->)", re.DOTALL)
-
-
-def worst_case_bits(length_bytes: int) -> int:
-    """Return the bits of a frame with an 11-bit identifier, worst-case stuffing and the space to the next one included.
-
-    47 bits of a frame are not data; of these, 34 can be stuffed, as can the data: a bit after every four at the worst.
-    """
-    return 8 * length_bytes + 47 + (34 + 8 * length_bytes - 1) // 4
-
-
-def bits_per_tick(database: Database) -> int:
-    """Return the bits of the frames that go over the bus each tick."""
-    return sum(worst_case_bits(m.length) for m in database.messages if m.cycle_time == TICK_MS)
-
-
-def load_fraction(database: Database) -> float:
-    """Return the share of the bus that the frames of each tick take."""
-    return bits_per_tick(database) / (BIT_RATE * TICK_MS * 1e-3)
 
 
 def table(head: list[str], rows: list[list[str]]) -> str:
@@ -95,11 +79,11 @@ def signals_table(message: Message) -> str:
 
 def load_text(database: Database) -> str:
     """Return the bus load of the closed loop."""
-    cyclic = [m for m in database.messages if m.cycle_time == TICK_MS]
-    frames = ", ".join(f"{m.name} {worst_case_bits(m.length)}" for m in cyclic)
+    load = bus_load(database.messages)
+    frames = ", ".join(f"{frame.name} {frame.bits}" for frame in load.tick_frames)
     return (
-        f"{len(cyclic)} frames a tick: {frames}: **{bits_per_tick(database)} bits** at the worst, "
-        f"{load_fraction(database):.1%} of the bus at 1 Mbit/s and a tick of {TICK_MS} ms.\n"
+        f"{len(load.tick_frames)} frames a tick: {frames}: **{load.bits_per_tick} bits** at the worst. With the slower "
+        f"frames that is {load.load_fraction:.1%} of the bus at 1 Mbit/s and a tick of {load.tick_s * 1e3:g} ms.\n"
     )
 
 

@@ -14,7 +14,6 @@ import pytest
 
 from host_sim.codec import DBC_FILE, Codec
 from host_sim.inproc import LIBRARY_FILE, InprocBus
-from host_sim.link import BusStatistics
 
 ROOT = Path(__file__).parents[2]
 TOOL = ROOT / "tools" / "generate_wire_tables.py"
@@ -97,31 +96,6 @@ def test_every_identifier_of_the_readme_is_the_definitions() -> None:
 
     assert {name: int(identifier, 16) for identifier, name in rows} == {m.name: m.frame_id for m in DATABASE.messages}
     assert rows == sorted(rows)  # the order of priority
-
-
-# Bus load -----------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("length", "bits"), [(0, 55), (1, 65), (4, 95), (8, 135)])
-def test_worst_case_bits_are_those_of_the_literature(tool: ModuleType, length: int, bits: int) -> None:
-    # Davis, Burns, Bril, Lukkien, 'Controller Area Network (CAN) schedulability analysis', 2007: 55 + 10 n.
-    assert tool.worst_case_bits(length) == bits
-
-
-def test_worst_case_bits_are_those_that_a_run_counts(tool: ModuleType) -> None:
-    for length in range(9):
-        statistics = BusStatistics()
-        statistics.add(length)
-        assert statistics.bits == tool.worst_case_bits(length)
-
-
-def test_closed_loop_is_at_most_five_frames_and_stays_under_seventy_percent(tool: ModuleType) -> None:
-    cyclic = [message.name for message in DATABASE.messages if message.cycle_time == tool.TICK_MS]
-
-    assert cyclic == ["POSE", "WHEEL_SPEED", "SYNC", "TORQUE", "SLIP"]
-    assert tool.bits_per_tick(DATABASE) == 655
-    assert tool.load_fraction(DATABASE) == pytest.approx(0.655)
-    assert tool.load_fraction(DATABASE) < 0.70
 
 
 # Examples -----------------------------------------------------------------------------------------------------------
