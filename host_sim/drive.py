@@ -134,7 +134,8 @@ def drive(
             if ended is not None:
                 status, reason = ended
                 break
-            _wait_until(begin_s + (tick + 1) * period_s / pace)
+            if pace < math.inf:
+                _wait_until(begin_s + (tick + 1) * period_s / pace)
     except SilentError as error:
         status, reason = Status.TIMEOUT, str(error)
     except OmnibotError as error:
