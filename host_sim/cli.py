@@ -15,6 +15,9 @@ from rich.console import Console
 from rich.progress import track
 from rich.text import Text
 
+from host_sim.bench import bench
+from host_sim.bench import choose as choose_parts
+from host_sim.bench import table as bench_table
 from host_sim.busload import bus_load, load_table
 from host_sim.codec import DBC_FILE, Codec, load_messages
 from host_sim.errors import OmnibotError
@@ -259,6 +262,17 @@ def flash_board(
     flash(runner, image, dry_run, typer.echo)
     if not dry_run:
         print(f"flashed and verified: {image}")  # noqa: T201
+
+
+@app.command("bench")
+def run_bench(
+    only: Annotated[str | None, typer.Option(help="comma-separated: plant, loop, vcan (default: all)")] = None,
+    bus: Annotated[str, typer.Option(help="SocketCAN interface of the vcan part")] = "vcan0",
+    as_json: Annotated[bool, typer.Option("--json", help="print JSON instead of the table")] = False,
+) -> None:
+    """Measure the speed of plant, loop and bus, each beside its reference, as ratios of one run."""
+    result = bench(choose_parts(only), bus)
+    print(json.dumps(result, indent=2) if as_json else bench_table(result))  # noqa: T201
 
 
 @app.command()
