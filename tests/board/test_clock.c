@@ -40,6 +40,11 @@ void tearDown(void)
     model_assert_wrote_only(own);
 }
 
+static uint32_t stuck_on_pll(reg_t *reg, uint32_t value)
+{
+    return reg == &rcc.cfgr ? (value & ~(3u << 2)) | 2u << 2 : value;
+}
+
 static clock_tree_t start(void)
 {
     return clock_start(&rcc, &flash_interface, 8);
@@ -118,6 +123,17 @@ static void test_pll_that_runs_already_is_left_and_set_anew(void)
     TEST_ASSERT_LESS_THAN_UINT32(model_first_write(&rcc.cr, 1u << 24), set);
 }
 
+static void test_pll_that_cannot_be_left_is_not_set(void)
+{
+    alive = ALL & ~SWITCH;
+    model_set(&rcc.cr, 0x83 | 1u << 24 | 1u << 25);
+    model_set(&rcc.cfgr, 2u | 2u << 2);
+    model_on_read(stuck_on_pll);
+    TEST_ASSERT_EQUAL_UINT8(CLOCK_SOURCE_HSI, start().source);
+    TEST_ASSERT_EQUAL_UINT32(0, model_writes_to(&rcc.pllcfgr));
+    TEST_ASSERT_EQUAL_UINT32(0, model_writes_to(&rcc.cr)); // what the core runs from is not stopped
+}
+
 // ---- something is dead
 
 static void test_dead_crystal_falls_back_to_the_internal_oscillator(void)
@@ -180,6 +196,7 @@ int main(void)
     RUN_TEST(test_pll_is_set_before_it_is_started);
     RUN_TEST(test_security_system_watches_the_crystal_only);
     RUN_TEST(test_pll_that_runs_already_is_left_and_set_anew);
+    RUN_TEST(test_pll_that_cannot_be_left_is_not_set);
     RUN_TEST(test_dead_crystal_falls_back_to_the_internal_oscillator);
     RUN_TEST(test_dead_pll_leaves_16_MHz);
     RUN_TEST(test_dead_crystal_and_pll_leave_16_MHz);

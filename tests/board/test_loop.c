@@ -331,6 +331,15 @@ static void test_crash_of_the_run_before_is_told_once(void)
     TEST_ASSERT_EQUAL_UINT8(RESET_CAUSE_POWER, loop.board.reset_cause);
 }
 
+/// PM0214 4.4.5: the key 0x05FA, and bit 2 asks for the reset; what was written before is in memory by then.
+static void test_reset_is_asked_for_after_all_else_is_written(void)
+{
+    board_reset();
+    TEST_ASSERT_EQUAL_UINT32(1, model_writes());
+    TEST_ASSERT_EQUAL_HEX32(0x05FA0004, model_written(&scb.aircr, 0));
+    TEST_ASSERT_EQUAL_STRING("ss", model_core_log());
+}
+
 // ---- driving
 
 static void test_motors_are_driven_after_use_motors_and_start(void)
@@ -570,6 +579,7 @@ int main(void)
     RUN_TEST(test_without_a_crystal_can_is_left_alone_and_the_uart_serves);
     RUN_TEST(test_emulator_without_a_clock_tree_starts_all_the_same);
     RUN_TEST(test_crash_of_the_run_before_is_told_once);
+    RUN_TEST(test_reset_is_asked_for_after_all_else_is_written);
     RUN_TEST(test_motors_are_driven_after_use_motors_and_start);
     RUN_TEST(test_wheels_push_to_the_side_where_the_path_is);
     RUN_TEST(test_motors_stay_off_in_lockstep);
