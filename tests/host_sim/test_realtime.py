@@ -167,7 +167,7 @@ def test_simulator_that_is_often_late_does_not_stretch_time(monkeypatch: pytest.
     late_s = PERIOD_S * np.random.default_rng(1).uniform(0.0, 1.2, 3001)
     driven = by_the_clock(monkeypatch, ClockedBus(stalls=dict(enumerate(late_s.tolist()))))
     assert driven.status is Status.COMPLETED
-    # To follow the late answers as if they were the firmware's clock would leave the plant behind its reference: 1.5 mm.
+    # Taken for the firmware's clock, the late answers would leave the plant 1.2 mm behind its reference.
     assert np.abs(driven.trace.point - driven.trace.reference_point).max() < 1e-4
 
 
