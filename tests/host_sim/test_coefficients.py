@@ -265,39 +265,64 @@ def test_with_the_missing_terms_they_are_newtons_law(
 # ------------------------------------------------------------------------------------------------------ constants in C
 
 
-def constant(field: str) -> Array:
-    """A matrix of the generated C, as single precision has it."""
+def numbers(field: str) -> Array:
+    """The numbers of a field of the generated C, as single precision has them."""
     assert CONSTANTS.exists(), "cmake --preset host && cmake --build --preset host"
-    found = re.search(rf"\.{field} = \{{\{{\{{(.*?)\}}\}}\}}", CONSTANTS.read_text(encoding="utf-8"))
+    found = re.search(rf"\.{field} = (\{{.*?\}}|\S+),", CONSTANTS.read_text(encoding="utf-8"))
     assert found, field
-    numbers = [float(text.rstrip("f")) for text in re.split(r"[{}, ]+", found[1])]
-    return np.reshape(np.array(numbers, dtype=np.float32).astype(np.float64), (3, 3))
+    texts = found[1].strip("{}").split(", ")
+    return np.array([float(text.rstrip("f")) for text in texts], dtype=np.float32).astype(np.float64)
+
+
+def of_body(field: str) -> Array:
+    """The matrix from the body to the wheels that a wheel_map_t stands for: rows are drive directions, scaled."""
+    ahead, side, turn = numbers(field)
+    return np.array([[-ahead, side, turn], [0.0, -2.0 * side, turn], [ahead, side, turn]])
+
+
+def gamma_inverse() -> Array:
+    """The matrix that the two numbers of it stand for."""
+    return np.diag(3 * [numbers("slip_mobility_inverse")[0]]) + numbers("slip_mobility_inverse_of_sum")[0]
+
+
+# Of each constant: the fields of robot_t that hold it, and the matrix that they stand for.
+IN_C = {
+    "J": (("wheel_rate_of_twist",), lambda: of_body("wheel_rate_of_twist")),
+    "Iw J": (("inertia_torque_of_accel",), lambda: of_body("inertia_torque_of_accel")),
+    "J^-1": (("twist_of_wheel_rate",), lambda: of_body("twist_of_wheel_rate").T),
+    "Jr^-1": (("twist_of_contact_speed",), lambda: of_body("twist_of_contact_speed").T),
+    "Gamma^-1": (("slip_mobility_inverse", "slip_mobility_inverse_of_sum"), gamma_inverse),
+    "Lambda": (("wheel_force_of_specific",), lambda: of_body("wheel_force_of_specific")),
+    "Jr^-1 Lambda": (("slip_mass",), lambda: np.diag(numbers("slip_mass"))),
+}
 
 
 def expected_constants(case: Case) -> Matrices:
-    """What the fields stand for, from S and A alone."""
+    """What they must be, from S and A alone."""
     j = case.s(0.0)[3:]
     gamma = case.a(case.theta).T @ case.a(case.theta)
     from_contact = np.linalg.inv(j * case.r)
     rolling = from_contact.T @ case.mass[:3, :3]
     return {
-        "wheel_rate_of_twist": j,
-        "twist_of_wheel_rate": np.linalg.inv(j),
-        "twist_of_contact_speed": from_contact,
-        "slip_mobility_inverse": np.linalg.inv(gamma),
-        "wheel_force_of_accel": rolling,
-        "slip_twist_of_accel": from_contact @ rolling,
+        "J": j,
+        "Iw J": case.Iw * j,
+        "J^-1": np.linalg.inv(j),
+        "Jr^-1": from_contact,
+        "Gamma^-1": np.linalg.inv(gamma),
+        "Lambda": rolling,
+        "Jr^-1 Lambda": from_contact @ rolling,
     }
 
 
-@pytest.mark.parametrize("field", expected_constants(Case(np.random.default_rng(1), real_robot=True)))
-def test_constants_in_c_are_those_of_the_same_matrices(field: str) -> None:
-    expected = expected_constants(Case(np.random.default_rng(1), real_robot=True))[field]
+@pytest.mark.parametrize("name", IN_C)
+def test_constants_in_c_are_those_of_the_same_matrices(name: str) -> None:
+    expected = expected_constants(Case(np.random.default_rng(1), real_robot=True))[name]
+    fields, matrix = IN_C[name]
 
-    actual = constant(field)
-
-    np.testing.assert_allclose(actual, expected, rtol=0.0, atol=6e-8 * np.max(np.abs(expected)))
-    assert struct.pack("<9f", *actual.ravel()) in LIBRARY.read_bytes()  # the controller is made with them
+    np.testing.assert_allclose(matrix(), expected, rtol=0.0, atol=1.2e-7 * np.max(np.abs(expected)))
+    library = LIBRARY.read_bytes()
+    for values in map(numbers, fields):
+        assert struct.pack(f"<{len(values)}f", *values) in library  # the controller is made with them
 
 
 def test_slow_manifold_of_the_coefficients_is_the_one_of_the_constants_in_c(
@@ -308,10 +333,10 @@ def test_slow_manifold_of_the_coefficients_is_the_one_of_the_constants_in_c(
         x = forms.matrices(case)
         acceleration = case.u * [20.0, 20.0, 80.0]
         inertial = acceleration + np.cross([0.0, 0.0, case.v[2]], case.v)
-        force = constant("wheel_force_of_accel") @ inertial
-        u0 = case.r * force + case.Iw * constant("wheel_rate_of_twist") @ acceleration
+        force = of_body("wheel_force_of_specific") @ inertial
+        u0 = case.r * force + case.Iw * of_body("wheel_rate_of_twist") @ acceleration
 
-        actual = -case.Vd / case.G0 * constant("slip_mobility_inverse") @ force
+        actual = -case.Vd / case.G0 * gamma_inverse() @ force
 
         expected = -np.linalg.solve(x["C2"], x["C0"] @ case.v + x["C3"] @ u0)
         # Gamma's condition is 34.
