@@ -24,24 +24,31 @@ class Frame(ctypes.Structure):
 _FRAME = struct.Struct(f"=HB{FRAME_BYTES}s")  # the same, all fields at once: several times faster
 
 
+_CALLS: dict[str, tuple[Any, tuple[Any, ...]]] = {  # result and arguments
+    "omnibot_size": (ctypes.c_size_t, ()),
+    "omnibot_init": (None, (ctypes.c_void_p, ctypes.c_uint8)),
+    "omnibot_receive": (None, (ctypes.c_void_p, ctypes.c_void_p)),
+    "omnibot_transmit": (ctypes.c_bool, (ctypes.c_void_p, ctypes.c_void_p)),
+    "omnibot_tick": (None, (ctypes.c_void_p,)),
+    "omnibot_lockstep": (ctypes.c_int32, (ctypes.c_void_p, ctypes.c_uint32, ctypes.c_void_p, ctypes.c_void_p)),
+}
+
+
 def load_firmware(path: Path = LIBRARY_FILE) -> ctypes.CDLL:
     """Load the firmware library and declare its calls (``firmware/ports/posix/inproc.h``)."""
     try:
         library = ctypes.CDLL(str(path))
     except OSError as error:
         raise OmnibotError(f"no firmware library ({error}): tools/build host makes it") from error
-    library.omnibot_size.restype = ctypes.c_size_t
-    library.omnibot_size.argtypes = ()
-    library.omnibot_init.restype = None
-    library.omnibot_init.argtypes = (ctypes.c_void_p, ctypes.c_uint8)
-    library.omnibot_receive.restype = None
-    library.omnibot_receive.argtypes = (ctypes.c_void_p, ctypes.c_void_p)
-    library.omnibot_transmit.restype = ctypes.c_bool
-    library.omnibot_transmit.argtypes = (ctypes.c_void_p, ctypes.c_void_p)
-    library.omnibot_tick.restype = None
-    library.omnibot_tick.argtypes = (ctypes.c_void_p,)
-    library.omnibot_lockstep.restype = ctypes.c_int32
-    library.omnibot_lockstep.argtypes = (ctypes.c_void_p, ctypes.c_uint32, ctypes.c_void_p, ctypes.c_void_p)
+    for name, (result, arguments) in _CALLS.items():
+        try:
+            function = library[name]
+        except AttributeError:
+            raise OmnibotError(
+                f"{path} is of another version, without {name}: tools/build host makes it anew"
+            ) from None
+        function.restype, function.argtypes = result, arguments
+        setattr(library, name, function)
     return library
 
 

@@ -1,5 +1,6 @@
 """The firmware as a python-can interface."""
 
+import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -125,3 +126,11 @@ def test_send_of_another_kind_of_frame_is_refused(bus: InprocBus, frame: can.Mes
 def test_load_firmware_without_a_library_says_how_to_build_it() -> None:
     with pytest.raises(OmnibotError, match=r"no firmware library .*nowhere.*tools/build host"):
         load_firmware(Path("nowhere"))
+
+
+def test_load_firmware_of_another_version_says_what_is_missing(tmp_path: Path) -> None:
+    source, library = tmp_path / "old.c", tmp_path / "old.so"
+    source.write_text("unsigned long omnibot_size(void) { return 8; }")
+    subprocess.run(["cc", "-shared", "-fPIC", "-o", str(library), str(source)], check=True)
+    with pytest.raises(OmnibotError, match=r"old.so is of another version, without omnibot_init: tools/build host"):
+        load_firmware(library)
