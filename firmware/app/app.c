@@ -80,6 +80,7 @@ static uint8_t start(app_t *app)
     }
     app->cursor = (trajectory_cursor_t){0, 0};
     app->state = (control_state_t){0};
+    app->torque_Nm = (vec3_t){0}; // of a drive before: the motors wait for the first step of this one
     pace_start(app);
     app->mode = mode_after(app->mode, EVENT_START);
     return REFUSAL_NONE;

@@ -1676,6 +1676,20 @@ static void test_motors_that_nobody_drives_are_no_fault(void)
     TEST_ASSERT_EQUAL_UINT8(FAULT_NONE, app.fault);
 }
 
+static void test_motors_get_no_torque_of_the_drive_before_after_start(void)
+{
+    vec3_t torque;
+    make_motors_run();
+    command(OPERATION_STOP);
+    set_parameter(PARAMETER_TORQUE_BOUND_NM, 0.001f);
+
+    command(OPERATION_START);
+
+    TEST_ASSERT_EQUAL_UINT8(MODE_TRACKING, got.status.mode);
+    (void)app_motor_torque(&app, &torque);
+    TEST_ASSERT_FLOAT_WITHIN(0.0f, 0.0f, vec3_max_abs(torque));
+}
+
 static void test_bus_drives_never_enable_the_motors(void)
 {
     vec3_t torque = {1.0f, 1.0f, 1.0f};
@@ -1869,6 +1883,7 @@ int main(void)
     RUN_TEST(test_motors_get_the_torque_of_the_last_step_while_tracking_only);
     RUN_TEST(test_motors_that_cannot_give_the_torque_are_a_fault);
     RUN_TEST(test_motors_that_nobody_drives_are_no_fault);
+    RUN_TEST(test_motors_get_no_torque_of_the_drive_before_after_start);
     RUN_TEST(test_bus_drives_never_enable_the_motors);
     RUN_TEST(test_wheel_speeds_of_the_bus_are_not_taken_by_a_robot_with_motors);
     RUN_TEST(test_wheel_speeds_of_the_port_are_not_taken_without_motors);
