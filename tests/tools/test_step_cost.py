@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from step_cost.errors import CostError
+from step_cost.measure import Figures
 
 ROOT = Path(__file__).parents[2]
 OMNIBOT = ROOT / ".venv" / "bin" / "omnibot"
@@ -147,3 +149,8 @@ def test_missing_build_is_one_line_that_says_what_makes_it(tmp_path: Path) -> No
     assert done.returncode == 1
     assert "tools/build target makes it" in done.stderr
     assert json.loads(done.stdout)["status"] == "error"
+
+
+def test_figures_of_nothing_tell_of_an_image_of_another_build() -> None:
+    with pytest.raises(CostError, match="another build than the host's; tools/build host && tools/build target"):
+        Figures().range_of("cycles")

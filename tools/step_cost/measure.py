@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from step_cost.corpus import NODE, SETUP, TICK, FrameIn, Session
+from step_cost.errors import CostError
 from step_cost.image import Image
 from step_cost.machine import FRAME, FRAME_BYTES, INSTANCE, Machine
 from step_cost.paths import NOTHING, Blocks, Cost, PathCost
@@ -74,6 +75,12 @@ class Figures:
 
     def range_of(self, part: str) -> Range:
         """Return minimum, median and maximum of 'instructions', 'low', 'cycles' or 'high'."""
+        if not self.seen:
+            # Recorded with this host's library; an image of another protocol or parameter list does not take it.
+            raise CostError(
+                "the recorded frames did not drive the target's firmware: it is of another build than the host's; "
+                "tools/build host && tools/build target"
+            )
         values = sorted((getattr(cost, part), times) for cost, times in self.seen.items())
         middle = (sum(times for _, times in values) + 1) // 2
         passed = np.cumsum([times for _, times in values])
