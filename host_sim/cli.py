@@ -22,6 +22,7 @@ from host_sim.busload import bus_load, load_table
 from host_sim.codec import DBC_FILE, Codec, load_messages
 from host_sim.errors import OmnibotError
 from host_sim.flash import IMAGE_FILE, flash
+from host_sim.inject import FAULT_ROWS, fault_cases, is_explained, restart_cases, run_cases
 from host_sim.link import Link, open_bus
 from host_sim.paper import choose, write_paper
 from host_sim.pil import EmulatedBoard
@@ -30,6 +31,7 @@ from host_sim.robot import ROOT, load_robot
 from host_sim.run import LOG_FILE, BusLog, execute, run_folder
 from host_sim.scenario import Scenario
 from host_sim.sensors import Sensors
+from host_sim.soak import soak
 from host_sim.sweep import SWEEPS, run_sweep, table
 from host_sim.trace import Trace, compare, write_atomically
 
@@ -241,6 +243,50 @@ def sweep(
     print(json.dumps(rows, indent=2) if as_json else table(rows))  # noqa: T201
     lost = sum(row["status"] != "completed" for row in rows)
     print(f"{len(rows)} runs, {lost} not completed; table: {folder / 'sweep.md'}", file=sys.stderr)  # noqa: T201
+
+
+@app.command()
+def inject(
+    seed: Annotated[int, typer.Option(help="of the chance in the faults")] = 0,
+    restarts: Annotated[
+        int, typer.Option(min=0, help="instead of the table: restart or pause the robot at so many random ticks")
+    ] = 0,
+    out: Annotated[Path | None, typer.Option(help="folder for the table (default: runs/inject)")] = None,
+    jobs: Annotated[int | None, typer.Option(min=1, help="processes (default: one a core)")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="print the rows as JSON instead of the table")] = False,
+) -> None:
+    """Drive in-process over a bus that loses, delays, repeats, swaps, damages and floods; table what the robot does."""
+    folder = out or ROOT / "runs" / "inject"
+    cases, total = (restart_cases(restarts, seed), restarts) if restarts else (fault_cases(seed), len(FAULT_ROWS))
+    rows = list(track(run_cases(cases, jobs), total=total, console=Console(stderr=True), description="inject"))
+    write_atomically(folder / "inject.json", (json.dumps(rows, indent=2) + "\n").encode())
+    write_atomically(folder / "inject.md", table(rows).encode())
+    print(json.dumps(rows, indent=2) if as_json else table(rows))  # noqa: T201
+    wrong = [row for row in rows if not is_explained(row)]
+    print(f"{len(rows)} drives, {len(wrong)} against a rule; table: {folder / 'inject.md'}", file=sys.stderr)  # noqa: T201
+    if wrong:
+        raise OmnibotError(f"{wrong[0]['fault']} ({wrong[0]['time']}): {wrong[0]['end']}, or torque or restart wrong")
+
+
+@app.command("soak")
+def soak_command(
+    duration: Annotated[float, typer.Option(min=1.0, help="simulated time to drive, s")] = 3600.0,
+    wall: Annotated[float, typer.Option(min=1.0, help="stop after so much time by the clock, s")] = math.inf,
+    seed: Annotated[int, typer.Option(help="of everything that happens by chance")] = 0,
+    as_json: Annotated[bool, typer.Option("--json", help="print the result as JSON")] = False,
+) -> None:
+    """Drive for long in-process with random faults; every end must have a reason, and memory must stay."""
+    result = soak(duration, wall, seed)
+    ends = "".join(f"\n  {count:6d}  {end}" for end, count in result.ends.most_common())
+    text = (
+        f"{result.simulated_s:.0f} s simulated in {result.wall_s:.0f} s: {result.drives} drives, {result.frames_hit} "
+        f"frames hit, largest torque {result.max_torque_Nm:.3g} N*m; after warming up the resident set "
+        f"({result.peak_KiB_after_warm_up} KiB) grew by {result.peak_growth_KiB} KiB, Python's blocks by "
+        f"{result.block_growth}{ends}"
+    )
+    print(json.dumps(result.as_dict(), indent=2) if as_json else text)  # noqa: T201
+    if result.problems:
+        raise OmnibotError(f"{len(result.problems)} drives against a rule; the first: {result.problems[0]}")
 
 
 @app.command(add_help_option=False, context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
