@@ -89,6 +89,9 @@ class Watch:
         self.fault = self._status.label("fault", status["fault"])
         self.dropped, self.missed = int(status["dropped_frames"]), int(status["missed_ticks"])
         self._note_mode(self._status.label("mode", status["mode"]))
+        # The STATUS of the change itself may find no room in the firmware's outbox.
+        if self.left_because == UNEXPLAINED and self.mode == "FAULT":
+            self.left_because = self._cause("FAULT")
 
     def _note_mode(self, mode: str) -> None:
         if self.mode == "TRACKING" and mode != "TRACKING":
@@ -100,9 +103,9 @@ class Watch:
     def _judge(self, torque: list[float]) -> None:
         largest = max(map(abs, torque))
         self.max_torque_Nm = max(self.max_torque_Nm, largest)
-        if not largest <= self._bound_Nm:
+        if not all(abs(value) <= self._bound_Nm for value in torque):  # NaN is beyond it, too
             self.violations.append(f"torque {torque} beyond its bound")
-        if self.mode != "TRACKING" and largest != 0.0:
+        if self.mode != "TRACKING" and any(torque):
             self.violations.append(f"torque {torque} in mode {self.mode}")
 
     def _cause(self, mode: str) -> str:
@@ -194,9 +197,12 @@ class Session:
         driver = _Drive(self, trajectory, ticks)
         self.bus.use(faults)
         try:
-            return driver.run(stop_at)
+            driver.run(stop_at)
         finally:
             self.bus.end()
+        if self.watch.mode == "FAULT":
+            self.link.command("STOP")  # answered by STATUS, which names the fault
+        return driver.summary()
 
     def drives_again(self, request: PathRequest) -> bool:
         """Tell whether the robot starts again after all that, and follows its path as if nothing had been."""
@@ -241,7 +247,7 @@ class _Drive:
         self.link.send_sensors(tick, wrapped_pose(self.plant), speed)
         self.link.send_sync(tick)
 
-    def run(self, stop_at: int) -> Outcome:
+    def run(self, stop_at: int) -> None:
         """Drive to the end."""
         point = tracked_point(self.plant, self.robot)
         for tick in range(self.ticks):
@@ -255,7 +261,6 @@ class _Drive:
             self.distance_m += math.dist(before, point)
             if self.is_lost(tick, point):
                 break
-        return self.summary()
 
     def note_reaction(self, tick: int, stop_at: int) -> None:
         """Take down when firmware and wheels react to what began, and how far the robot came until then."""

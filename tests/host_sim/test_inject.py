@@ -88,6 +88,16 @@ def test_watch_names_a_tick_that_went_back() -> None:
     assert watch.left_because == "tick went back"
 
 
+def test_fault_whose_status_found_no_room_is_named_by_a_later_one() -> None:
+    # A burst of 500 ticks makes a thousand answers for an outbox of 16; the one that names the fault is not among them.
+    pause = Fault(Kind.PAUSE, first_tick=1154, ticks=500)
+    babble = Fault(Kind.FLOOD, first_tick=454, ticks=1, rate=0.8)
+    with Session("lockstep") as session:
+        outcome = session.drive(PathRequest("line", 0.2), FaultPlan((babble, pause), 3080302222))
+    assert outcome.end.startswith(("fault ", "completed")), outcome
+    assert outcome.dropped > 100
+
+
 # ---- the table
 
 
