@@ -265,7 +265,9 @@ def inject(
     wrong = [row for row in rows if not is_explained(row)]
     print(f"{len(rows)} drives, {len(wrong)} against a rule; table: {folder / 'inject.md'}", file=sys.stderr)  # noqa: T201
     if wrong:
-        raise OmnibotError(f"{wrong[0]['fault']} ({wrong[0]['time']}): {wrong[0]['end']}, or torque or restart wrong")
+        raise OmnibotError(
+            f"{wrong[0]['scenario']} ({wrong[0]['time']}): {wrong[0]['end']}, or torque or restart wrong"
+        )
 
 
 @app.command("soak")

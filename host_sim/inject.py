@@ -136,6 +136,8 @@ class Outcome:
         To the first tick with no torque at the wheels: the host holds the newest TORQUE that came.
     distance_m
         That the tracked point travelled until then.
+    max_torque_Nm, max_wheel_torque_Nm
+        That the firmware asked for, and that the wheels were told: a damaged TORQUE may pass its CRC.
     speed_left_m_per_s
         Of the body, 0.5 s later: nothing brakes it.
     """
@@ -149,6 +151,7 @@ class Outcome:
     firmware_ticks: int | None = None
     wheels_ticks: int | None = None
     max_torque_Nm: float = 0.0
+    max_wheel_torque_Nm: float = 0.0
     distance_m: float | None = None
     speed_left_m_per_s: float | None = None
     max_error_m: float = 0.0
@@ -288,6 +291,7 @@ class _Drive:
             name, values = heard
             if name == "TORQUE":
                 self.torque = [values["wheel1_Nm"], values["wheel2_Nm"], values["wheel3_Nm"]]
+                self.outcome.max_wheel_torque_Nm = max(self.outcome.max_wheel_torque_Nm, *map(abs, self.torque))
 
     def is_lost(self, tick: int, point: tuple[float, float]) -> bool:
         """Note the error of a driving robot; tell whether there is no sense in going on."""
@@ -408,7 +412,7 @@ def run_case(case: FaultCase) -> dict[str, Any]:
         outcome = session.drive(request, FaultPlan(case.faults, case.seed), stop_at=case.stop_at)
         again = session.drives_again(request)
     return {
-        "fault": case.name,
+        "scenario": case.name,
         "time": case.time,
         "end": outcome.end,
         "mode": outcome.mode,
@@ -420,6 +424,7 @@ def run_case(case: FaultCase) -> dict[str, Any]:
         "distance_m": outcome.distance_m,
         "speed_left_m_per_s": outcome.speed_left_m_per_s,
         "max_torque_Nm": outcome.max_torque_Nm,
+        "max_wheel_torque_Nm": outcome.max_wheel_torque_Nm,
         "max_error_m": outcome.max_error_m,
         "violations": len(outcome.violations),
         "drives_again": again,
