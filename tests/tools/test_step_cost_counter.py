@@ -1,5 +1,6 @@
 """The counter on snippets whose instructions and cycles were added up by hand from the tables of the manual."""
 
+import json
 import subprocess
 from pathlib import Path
 from typing import NamedTuple
@@ -10,7 +11,7 @@ from step_cost.cycles import UnknownInstructionError
 from step_cost.image import Image
 from step_cost.machine import SCRATCH, Machine, MachineError
 from step_cost.paths import Activation, Blocks, Cost, PathCost
-from step_cost.stack import StackDepths, StackError
+from step_cost.stack import StackDepths, StackError, usage
 
 HEAD = ".syntax unified\n.cpu cortex-m4\n.fpu fpv4-sp-d16\n.thumb\n.text\n"
 ARGUMENTS = (SCRATCH, 1, SCRATCH + 64, 4)  # r0 … r3: two places in RAM and two numbers
@@ -158,9 +159,9 @@ def test_access_outside_of_memory_stops_with_the_place(tmp_path: Path) -> None:
 # ---- the stack
 
 
-def depths(folder: Path, code: str, usage: str = "snippet.s:1:1:nobody\t0\tstatic\n") -> StackDepths:
+def depths(folder: Path, code: str, frames: str = "snippet.s:1:1:nobody\t0\tstatic\n") -> StackDepths:
     image = built(folder, code)
-    (folder / "snippet.su").write_text(usage)
+    (folder / "snippet.su").write_text(frames)
     return StackDepths(Image(image), folder)
 
 
@@ -175,6 +176,16 @@ def test_deepest_chain_goes_through_the_table_of_handlers(tmp_path: Path) -> Non
     chain = depths(tmp_path, f + receive + g + h + TABLE).of("f")
     assert chain.frames == (("f", 4), ("app_receive", 8 + 8), ("g", 12))
     assert chain.total_bytes == 32
+
+
+def test_stack_usage_left_by_an_object_that_is_no_longer_built_is_passed_over(tmp_path: Path) -> None:
+    command = {"directory": ".", "command": "cc -O2 -o objects/new.c.obj -c new.c", "file": "new.c"}
+    (tmp_path / "objects").mkdir()
+    for name, size in (("new", 8), ("old", 496)):
+        (tmp_path / "objects" / f"{name}.c.su").write_text(f"{name}.c:1:1:f\t{size}\tstatic\n")
+    assert usage(tmp_path) == {"f": 496}
+    (tmp_path / "compile_commands.json").write_text(json.dumps([command]))
+    assert usage(tmp_path) == {"f": 8}
 
 
 def test_painted_stack_is_the_chain_of_calls(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ STEP = ("trajectory_reference", "control_step")
 
 
 class Target:
-    """The firmware's four calls (firmware/ports/posix/inproc.h) on the emulated processor."""
+    """The firmware's calls (firmware/ports/posix/inproc.h) on the emulated processor."""
 
     def __init__(self, image: Image) -> None:
         self.image = image

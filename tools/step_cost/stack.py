@@ -1,5 +1,6 @@
 """The deepest that the stack can go: frames as the compiler tells them (-fstack-usage), along every chain of calls."""
 
+import json
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,6 +9,7 @@ from step_cost.calls import Function, calls_of
 from step_cost.errors import CostError
 from step_cost.image import Image, ImageError
 
+OBJECT = re.compile(r" -o (\S+)")
 LINE = re.compile(r"[^\t]*:(?P<function>[^:\t]+)\t(?P<bytes>\d+)\t(?P<kind>\S+)$")
 
 
@@ -23,10 +25,21 @@ class Chain:
     frames: tuple[tuple[str, int], ...]  # function, bytes
 
 
+def usage_files(folder: Path) -> list[Path]:
+    """Return the compiler's files on stack usage, without those of objects that the build no longer has."""
+    files = sorted(folder.rglob("*.su"))
+    commands = folder / "compile_commands.json"
+    if not commands.exists():
+        return files
+    lines = [str(entry["command"]) for entry in json.loads(commands.read_text(encoding="utf-8"))]
+    made = {(folder / found[1]).with_suffix(".su") for line in lines if (found := OBJECT.search(line))}
+    return [file for file in files if file in made]
+
+
 def usage(folder: Path) -> dict[str, int]:
     """Return the frame of each function compiled in a build folder, the largest where names repeat."""
     found: dict[str, int] = {}
-    for file in sorted(folder.rglob("*.su")):
+    for file in usage_files(folder):
         for line in file.read_text(encoding="utf-8").splitlines():
             match = LINE.match(line)
             if match is None:
