@@ -1,0 +1,251 @@
+// SPDX-License-Identifier: MIT
+#include "model.h"
+
+#include "messages.h"
+#include "oracle.h"
+
+#include <math.h>
+#include <string.h>
+
+enum { HEARTBEAT_TICKS_MAX = 100, PERIOD_US = 1000, DATA_BYTES = 6, BYTES_PER_ACK = 16 * DATA_BYTES };
+
+static const model_reading_t never_read = {.age_ticks = UINT32_MAX};
+
+static void forget_readings(model_t *model)
+{
+    model->pose = never_read;
+    model->wheel_speed = never_read;
+}
+
+void model_init(model_t *model, uint8_t drives, uint8_t drive)
+{
+    memset(model, 0, sizeof *model);
+    model->drives = drives;
+    model->drive = drive;
+    model->mode = MODE_IDLE;
+    model->silent_ticks = UINT32_MAX;
+    forget_readings(model);
+    for (int i = 0; i < PARAMETER_COUNT; i++) {
+        model->parameter[i] = parameter_table[i].initial;
+    }
+}
+
+// ---- commands
+
+static uint8_t start(model_t *model)
+{
+    if (model->mode != MODE_IDLE) {
+        return REFUSAL_WRONG_MODE;
+    }
+    if (!model->peer_matches) {
+        return REFUSAL_UNKNOWN_PEER;
+    }
+    if (model->held_bytes == 0) {
+        return REFUSAL_NO_TRAJECTORY;
+    }
+    model->mode = MODE_TRACKING;
+    model->tick_known = false;
+    model->missed_in_row = 0;
+    model->overdue_ticks = 0;
+    if (model->drive == DRIVE_LOCKSTEP) {
+        forget_readings(model);
+    }
+    return REFUSAL_NONE;
+}
+
+static uint8_t use(model_t *model, uint8_t drive)
+{
+    if (model->mode != MODE_IDLE) {
+        return REFUSAL_WRONG_MODE;
+    }
+    if ((model->drives >> drive & 1) == 0) {
+        return REFUSAL_UNABLE;
+    }
+    model->drive = drive;
+    model->tick_known = false;
+    model->silent_ticks = UINT32_MAX;
+    forget_readings(model);
+    return REFUSAL_NONE;
+}
+
+static uint8_t stop(model_t *model)
+{
+    model->mode = model->mode == MODE_TRACKING ? MODE_IDLE : model->mode;
+    return REFUSAL_NONE;
+}
+
+static uint8_t clear(model_t *model)
+{
+    model->mode = model->mode == MODE_FAULT ? MODE_IDLE : model->mode;
+    model->fault = FAULT_NONE;
+    model->fault_mask = 0;
+    return REFUSAL_NONE;
+}
+
+uint8_t model_command(model_t *model, uint8_t operation)
+{
+    switch (operation) {
+    case OPERATION_START:
+        return start(model);
+    case OPERATION_STOP:
+        return stop(model);
+    case OPERATION_CLEAR:
+        return clear(model);
+    case OPERATION_USE_LOCKSTEP:
+        return use(model, DRIVE_LOCKSTEP);
+    case OPERATION_USE_REALTIME:
+        return use(model, DRIVE_REALTIME);
+    case OPERATION_USE_MOTORS:
+        return use(model, DRIVE_MOTORS);
+    default:
+        return REFUSAL_UNKNOWN_OPERATION;
+    }
+}
+
+// ---- parameters
+
+uint8_t model_set(model_t *model, uint8_t index, float value)
+{
+    if (model->mode == MODE_TRACKING) {
+        return PARAMETER_VALUE_RESULT_IN_MOTION;
+    }
+    if (index >= PARAMETER_COUNT) {
+        return PARAMETER_VALUE_RESULT_UNKNOWN_INDEX;
+    }
+    const parameter_description_t *description = &parameter_table[index];
+    const bool outside = isnan(value) || value < description->minimum || value > description->maximum;
+    if (outside || (description->integer && islessgreater(value, floorf(value)))) {
+        return PARAMETER_VALUE_RESULT_OUT_OF_RANGE;
+    }
+    model->parameter[index] = value;
+    return PARAMETER_VALUE_RESULT_OK;
+}
+
+// ---- upload
+
+model_ack_t model_begin(model_t *model, uint16_t length_bytes, uint32_t crc32)
+{
+    if (model->mode == MODE_TRACKING) {
+        return (model_ack_t){true, TRAJECTORY_ACK_RESULT_IN_MOTION};
+    }
+    if (length_bytes == 0 || length_bytes > MODEL_BYTES_MAX || length_bytes % MODEL_BYTES_PER_SEGMENT != 0) {
+        return (model_ack_t){true, TRAJECTORY_ACK_RESULT_WRONG_LENGTH};
+    }
+    model->length_bytes = length_bytes;
+    model->received_bytes = 0;
+    model->crc32 = crc32;
+    model->receiving = true;
+    model->held_bytes = 0;
+    return (model_ack_t){true, TRAJECTORY_ACK_RESULT_RECEIVING};
+}
+
+static bool segment_may_be_driven(const uint8_t *byte)
+{
+    uint32_t duration_us;
+    memcpy(&duration_us, byte, sizeof duration_us);
+    bool good = duration_us != 0;
+    for (int at = 4; at < MODEL_BYTES_PER_SEGMENT; at += 4) {
+        float coefficient;
+        memcpy(&coefficient, &byte[at], sizeof coefficient);
+        good = good && isfinite(coefficient) && coefficient >= -1.0e4f && coefficient <= 1.0e4f;
+    }
+    return good;
+}
+
+static uint8_t finish(model_t *model)
+{
+    model->receiving = false;
+    if (oracle_crc32(model->byte, model->length_bytes) != model->crc32) {
+        return TRAJECTORY_ACK_RESULT_WRONG_CRC;
+    }
+    for (int at = 0; at < model->length_bytes; at += MODEL_BYTES_PER_SEGMENT) {
+        if (!segment_may_be_driven(&model->byte[at])) {
+            return TRAJECTORY_ACK_RESULT_BAD_SEGMENT;
+        }
+    }
+    model->held_bytes = model->length_bytes;
+    return TRAJECTORY_ACK_RESULT_COMPLETE;
+}
+
+model_ack_t model_data(model_t *model, uint16_t offset_bytes, const uint8_t data[6])
+{
+    if (model->mode == MODE_TRACKING) {
+        return (model_ack_t){true, TRAJECTORY_ACK_RESULT_IN_MOTION};
+    }
+    if (!model->receiving || offset_bytes != model->received_bytes) {
+        return (model_ack_t){true, TRAJECTORY_ACK_RESULT_WRONG_OFFSET};
+    }
+    const int left = model->length_bytes - model->received_bytes;
+    const int taken = left < DATA_BYTES ? left : DATA_BYTES;
+    memcpy(&model->byte[model->received_bytes], data, (size_t)taken);
+    model->received_bytes = (uint16_t)(model->received_bytes + taken);
+    if (taken == left) {
+        return (model_ack_t){true, finish(model)};
+    }
+    return (model_ack_t){model->received_bytes % BYTES_PER_ACK == 0, TRAJECTORY_ACK_RESULT_RECEIVING};
+}
+
+// ---- time
+
+static void age(model_reading_t *reading, uint64_t ticks)
+{
+    reading->age_ticks = reading->fresh ? 0 : reading->age_ticks + ticks;
+    reading->fresh = false;
+}
+
+/// Adds the fault of a reading. The firmware compares in single precision: at the timeout itself either may be right.
+static void judge_age(model_faults_t *faults, const model_reading_t *reading, float timeout_s, uint8_t fault)
+{
+    const double age_us = (double)reading->age_ticks * PERIOD_US, timeout_us = 1.0e6 * (double)timeout_s;
+    const unsigned bit = 1u << fault;
+    faults->certain = (uint16_t)(faults->certain | (age_us > timeout_us * 1.000001 ? bit : 0u));
+    faults->possible = (uint16_t)(faults->possible | (age_us >= timeout_us * 0.999999 && age_us > 0.0 ? bit : 0u));
+}
+
+static model_faults_t judge_readings(const model_t *model)
+{
+    model_faults_t faults = {0, 0};
+    judge_age(&faults, &model->pose, model->parameter[PARAMETER_POSE_TIMEOUT_S], FAULT_STALE_POSE);
+    judge_age(&faults, &model->wheel_speed, model->parameter[PARAMETER_WHEEL_SPEED_TIMEOUT_S], FAULT_STALE_WHEEL_SPEED);
+    if (model->drive != DRIVE_LOCKSTEP && model->silent_ticks > HEARTBEAT_TICKS_MAX) {
+        faults.certain |= 1u << FAULT_HOST_SILENT;
+    }
+    faults.possible |= faults.certain;
+    if (faults.certain == 0) {
+        faults.possible |= 1u << FAULT_NOT_FINITE; // only what has all its data computes
+    }
+    return faults;
+}
+
+/// Whether too many ticks have been missed in a row.
+static bool is_gap(model_t *model, uint32_t ticks)
+{
+    model->missed_in_row = ticks > 1 ? model->missed_in_row + (ticks - 1) : 0;
+    return (double)model->missed_in_row > (double)model->parameter[PARAMETER_TICK_GAP_MAX];
+}
+
+model_faults_t model_step(model_t *model, uint32_t tick)
+{
+    const uint32_t ticks = model->tick_known ? tick - model->tick : 1;
+    const bool tracking = model->mode == MODE_TRACKING;
+    const bool gap = tracking && model->tick_known && is_gap(model, ticks);
+    model->tick = tick;
+    model->tick_known = true;
+    age(&model->pose, ticks);
+    age(&model->wheel_speed, ticks);
+    if (!tracking) {
+        return (model_faults_t){0, 0};
+    }
+    if (gap) {
+        const uint16_t bit = (uint16_t)(1u << (model->drive == DRIVE_LOCKSTEP ? FAULT_TICK_GAP : FAULT_OVERRUN));
+        return (model_faults_t){bit, bit};
+    }
+    return judge_readings(model);
+}
+
+void model_note_faults(model_t *model, uint8_t fault, uint16_t fault_mask)
+{
+    model->fault = fault;
+    model->fault_mask = fault_mask;
+    model->mode = fault_mask != 0 ? MODE_FAULT : model->mode;
+}
