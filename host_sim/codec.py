@@ -25,10 +25,10 @@ NODES = 1 << NODE_BITS
 
 # The messages that this host speaks, their fields in order.
 SPOKEN = {
-    "COMMAND": ("operation", "counter"),
+    "COMMAND": ("operation", "counter", "key"),
     "POSE": ("x1_m", "x2_m", "heading_rad", "counter"),
     "WHEEL_SPEED": ("wheel1_rad_per_s", "wheel2_rad_per_s", "wheel3_rad_per_s", "counter"),
-    "SYNC": ("tick", "counter"),
+    "SYNC": ("tick", "pose_crc", "wheel_speed_crc"),
     "TORQUE": ("wheel1_Nm", "wheel2_Nm", "wheel3_Nm", "counter", "mode"),
     "SLIP": ("mu1_m_per_s", "mu2_m_per_s", "mu3_m_per_s", "counter"),
     "STATUS": ("mode", "refusal", "fault", "fault_mask", "dropped_frames", "missed_ticks"),
@@ -45,10 +45,15 @@ SPOKEN = {
         "supply_V",
     ),
     "CRASH": ("pc", "lr"),
+    "DROPS": ("damaged", "replayed", "masqueraded", "unsent"),
+    "FAULT_RECORD": ("fault", "reaction", "count", "tick"),
+    "CHALLENGE": ("key", "ticks"),
     "PARAMETER_SET": ("index", "value", "counter"),
-    "PARAMETER_GET": ("index",),
-    "PARAMETER_VALUE": ("index", "result", "value"),
-    "TRAJECTORY_BEGIN": ("length_bytes", "crc32"),
+    "PARAMETER_GET": ("index", "field", "part"),
+    "PARAMETER_VALUE": ("index", "result", "field", "value"),
+    "PARAMETER_TEXT": ("index", "field", "part", "char0", "char1", "char2", "char3", "char4", "char5"),
+    "PARAMETER_STORE": ("origin", "count", "unsaved"),
+    "TRAJECTORY_BEGIN": ("length_bytes", "crc32", "counter"),
     "TRAJECTORY_DATA": ("offset_bytes", "byte0", "byte1", "byte2", "byte3", "byte4", "byte5"),
     "TRAJECTORY_ACK": ("offset_bytes", "result"),
     "HELLO": ("protocol_hash",),
@@ -133,6 +138,10 @@ class MessageCodec:
         if not self._has_crc:
             return data
         return data[:-1] + bytes((crc8(data[:-1], self._id_crc) ^ 0xFF,))
+
+    def seal(self, data: bytes) -> int:
+        """Return the CRC-8 over identifier and whole payload, by which SYNC vouches for a sensor frame."""
+        return crc8(data, self._id_crc) ^ 0xFF
 
     def unpack(self, data: bytes) -> tuple[float, ...]:
         """Return the values of a payload; WireError for one that is too short, too long or damaged."""

@@ -201,8 +201,10 @@ def left_tracking(link: Link, answer: Answer) -> tuple[Status, str] | None:
     """Return why the firmware no longer drives, if it does not."""
     if answer.mode == "TRACKING":
         return None
-    cause = f"fault {link.fault()}" if answer.mode == "FAULT" else f"mode {answer.mode}; {OTHER_HOST}"
-    return Status.FAULT, f"the firmware left TRACKING at {link.time_s:.3f} s: {cause}"
+    fault = link.fault() if answer.mode in ("FAULT", "STOPPING") else "NONE"
+    cause = f"mode {answer.mode}; {OTHER_HOST}" if fault == "NONE" else f"fault {fault}"
+    status = Status.DIVERGED if fault == "ERROR_LIMIT" else Status.FAULT
+    return status, f"the firmware left TRACKING at {link.time_s:.3f} s: {cause}"
 
 
 def record_row(

@@ -36,6 +36,9 @@ AGAIN_TICKS = 500  # driven without faults afterwards
 AGAIN_ERROR_M = 1e-3
 STOP_EVERY_TICKS = 10  # a host that wants a stop says so until it has it
 
+REST_TICKS_MAX = 4000  # after a STOP: braking takes 2 s at most, and 0.5 s more
+DRIVING = ("TRACKING", "STOPPING")
+
 SENSORS = ("POSE", "WHEEL_SPEED")
 UNEXPLAINED = "unexplained"
 
@@ -46,7 +49,7 @@ class Watch:
     def __init__(self, codec: Codec, torque_bound_Nm: float) -> None:
         self._codec = codec
         self._torque, self._status = codec["TORQUE"], codec["STATUS"]
-        self._sync_id, self._command_id = codec["SYNC"].arbitration_id, codec["COMMAND"].arbitration_id
+        self._command_id, self._hello_id = codec["COMMAND"].arbitration_id, codec["HELLO"].arbitration_id
         self._bound_Nm = torque_bound_Nm + 0.5 * self._torque.fields[0].unit_per_step
         self.begin()
 
@@ -58,7 +61,6 @@ class Watch:
         self.max_torque_Nm = 0.0
         self.left_because = ""
         self.violations: list[str] = []
-        self._last_tick = -1
         self._asked = ""  # since the last torque of a driving robot: what ends a drive without a fault
 
     def __call__(self, to_robot: bool, message: can.Message) -> None:
@@ -75,10 +77,8 @@ class Watch:
 
     def _note_request(self, arbitration_id: int, data: bytes) -> None:
         try:
-            if arbitration_id == self._sync_id:
-                tick = int(self._codec["SYNC"].unpack(data)[0])
-                self._asked = "tick went back" if tick < self._last_tick else self._asked
-                self._last_tick = tick
+            if arbitration_id == self._hello_id:
+                self._asked = "new host"
             elif arbitration_id == self._command_id:
                 command = self._codec["COMMAND"]
                 self._asked = command.label("operation", command.unpack(data)[0])
@@ -90,12 +90,12 @@ class Watch:
         self.dropped, self.missed = int(status["dropped_frames"]), int(status["missed_ticks"])
         self._note_mode(self._status.label("mode", status["mode"]))
         # The STATUS of the change itself may find no room in the firmware's outbox.
-        if self.left_because == UNEXPLAINED and self.mode == "FAULT":
-            self.left_because = self._cause("FAULT")
+        if self.left_because == UNEXPLAINED:
+            self.left_because = self._cause()
 
     def _note_mode(self, mode: str) -> None:
         if self.mode == "TRACKING" and mode != "TRACKING":
-            self.left_because = self._cause(mode)
+            self.left_because = self._cause()
         elif mode == "TRACKING":
             self._asked = ""
         self.mode = mode
@@ -105,19 +105,17 @@ class Watch:
         self.max_torque_Nm = max(self.max_torque_Nm, largest)
         if not all(abs(value) <= self._bound_Nm for value in torque):  # NaN is beyond it, too
             self.violations.append(f"torque {torque} beyond its bound")
-        if self.mode != "TRACKING" and any(torque):
+        if self.mode not in DRIVING and any(torque):
             self.violations.append(f"torque {torque} in mode {self.mode}")
 
-    def _cause(self, mode: str) -> str:
-        """Return why the firmware no longer drives, from what is on the bus alone."""
-        if mode == "FAULT":
-            return f"fault {self.fault}" if self.fault != "NONE" else UNEXPLAINED
-        return self._asked or UNEXPLAINED
+    def _cause(self) -> str:
+        """Return why the firmware no longer tracks, from what is on the bus alone."""
+        return f"fault {self.fault}" if self.fault != "NONE" else self._asked or UNEXPLAINED
 
     def note_death(self) -> None:
         """Know that the firmware is gone: what comes next is from another one."""
-        if self.mode == "TRACKING":
-            self.left_because = "restarted"
+        if self.mode in DRIVING:
+            self.left_because = self.left_because or "restarted"
         self.mode = "IDLE"
 
 
@@ -133,13 +131,13 @@ class Outcome:
         From the first frame that met a fault, or the host's wish to stop, to the firmware's leaving TRACKING; None: it
         drove on.
     wheels_ticks
-        To the first tick with no torque at the wheels: the host holds the newest TORQUE that came.
+        To the first tick with no torque at the wheels, braking over: the host holds the newest TORQUE that came.
     distance_m
         That the tracked point travelled until then.
     max_torque_Nm, max_wheel_torque_Nm
         That the firmware asked for, and that the wheels were told: a damaged TORQUE may pass its CRC.
     speed_left_m_per_s
-        Of the body, 0.5 s later: nothing brakes it.
+        Of the body, 0.5 s later: nothing brakes it then.
     """
 
     end: str = "completed"
@@ -205,7 +203,9 @@ class Session:
             self.bus.end()
         if self.watch.mode == "FAULT":
             self.link.command("STOP")  # answered by STATUS, which names the fault
-        return driver.summary()
+        outcome = driver.summary()
+        driver.come_to_rest()
+        return outcome
 
     def drives_again(self, request: PathRequest) -> bool:
         """Tell whether the robot starts again after all that, and follows its path as if nothing had been."""
@@ -238,22 +238,24 @@ class _Drive:
             prepare(self.link, self.robot, scenario, trajectory)
         else:
             set_up(self.link, self.robot, scenario, trajectory)
-            self.send(0)  # it must know where it is before it drives
+            self.send(-1)  # it must know where it is before it drives
             self.session.firmware.tick()
-            self.link.command("START")
+            self.link.start()
         self.watch.begin()
         self.watch.mode = "TRACKING"  # command() saw it
 
     def send(self, tick: int) -> None:
         """Send the sensors and the SYNC of a tick."""
         speed = [float(value) for value in self.plant.wheel_speed]
-        self.link.send_sensors(tick, wrapped_pose(self.plant), speed)
-        self.link.send_sync(tick)
+        self.link.send_sensors(tick & 0xFFFFFFFF, wrapped_pose(self.plant), speed)
+        self.link.send_sync(tick & 0xFFFFFFFF)
 
     def run(self, stop_at: int) -> None:
         """Drive to the end."""
         point = tracked_point(self.plant, self.robot)
-        for tick in range(self.ticks):
+        for tick in range(self.ticks + REST_TICKS_MAX):
+            if tick >= self.ticks and self.watch.mode != "STOPPING":
+                break
             self.outcome.ticks = tick + 1
             self.exchange(tick, stop_at)
             self.note_reaction(tick, stop_at)
@@ -272,18 +274,34 @@ class _Drive:
             self.distance_m = 0.0
         if self.watch.mode != "TRACKING" and self.outcome.firmware_ticks is None and since is not None:
             self.outcome.firmware_ticks = tick - since
-        if self.off_tick is None and self.watch.mode != "TRACKING" and not any(self.torque):
+        if self.off_tick is None and self.watch.mode not in DRIVING and not any(self.torque):
             self.off_tick, self.outcome.distance_m = tick, self.distance_m
             self.outcome.wheels_ticks = None if since is None else tick - since
 
+    def come_to_rest(self) -> None:
+        """Have a robot that still drives stop, on the good bus, so that the next drive finds it at rest."""
+        if self.watch.mode not in DRIVING:
+            return
+        self.link.command("STOP")
+        for tick in range(self.outcome.ticks, self.outcome.ticks + REST_TICKS_MAX):
+            self.step(tick)
+            if self.watch.mode not in DRIVING:
+                return
+            self.plant.step(np.array(self.torque), self.period_s)
+        self.watch.violations.append(f"still {self.watch.mode} {REST_TICKS_MAX} ticks after STOP")
+
     def exchange(self, tick: int, stop_at: int) -> None:
-        """One tick over the bus, both ways."""
+        """One tick over the bus, both ways, and a host that may ask for a stop."""
         self.bus.begin_tick(tick)
         if self.bus.robot_is_dead:
             self.watch.note_death()
             self.torque = [0.0, 0.0, 0.0]  # a processor in reset holds its bridges off
         if 0 <= stop_at <= tick and (tick - stop_at) % STOP_EVERY_TICKS == 0 and self.off_tick is None:
-            self.link.send("COMMAND", self.session.codec["COMMAND"].choices["operation"]["STOP"], tick // 10 & 0xF)
+            self.link.send("COMMAND", self.session.codec["COMMAND"].choices["operation"]["STOP"], tick // 10 & 0xF, 0)
+        self.step(tick)
+
+    def step(self, tick: int) -> None:
+        """One tick over the bus, both ways."""
         self.send(tick)
         if self.session.time == "realtime" and not self.bus.robot_is_away:
             self.session.firmware.tick()
@@ -295,7 +313,7 @@ class _Drive:
 
     def is_lost(self, tick: int, point: tuple[float, float]) -> bool:
         """Note the error of a driving robot; tell whether there is no sense in going on."""
-        if self.off_tick is None:
+        if self.off_tick is None and self.watch.mode == "TRACKING":
             reference = self.reference[min(tick + 1, self.ticks - 1)]
             error_m = math.dist(point, (reference[0], reference[1]))
             self.outcome.max_error_m = max(self.outcome.max_error_m, error_m)

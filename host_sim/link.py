@@ -25,6 +25,7 @@ REPEAT_S = 0.2
 # A frame takes 0.1 ms of a bus at 1 Mbit/s.
 ROOM_S = 0.0005
 ANSWER_FRAMES = 2
+FIELD_VALUE = 0  # of PARAMETER_GET
 TRAJECTORY_FRAME_BYTES = 6
 TRAJECTORY_ACK_FRAMES = 16
 
@@ -127,6 +128,8 @@ class Link:
         bus.set_filters([{"can_id": codec.node, "can_mask": NODES - 1, "extended": False}])
         self._record = record
         self._counter = 0
+        self._key: int | None = None
+        self._seals = (0, 0)  # of the sensor frames that went out last
         self._dropped_before = 0
         self.forget_rounding()
         self._pose, self._wheels, self._sync = codec["POSE"], codec["WHEEL_SPEED"], codec["SYNC"]
@@ -171,11 +174,14 @@ class Link:
             self._record((self.time_s, arbitration_id, data))
 
     def _note_status(self, arbitration_id: int, data: bytes) -> None:
-        """Keep the newest STATUS, whatever we wait for."""
+        """Keep the newest STATUS, and the key of ARM, whatever we wait for."""
         if arbitration_id == self.codec["STATUS"].arbitration_id:
             # A peer of another protocol may send anything by this name; hello tells the user about it.
             with contextlib.suppress(WireError):
                 self.status = self.codec["STATUS"].named(data)
+        elif arbitration_id == self.codec["CHALLENGE"].arbitration_id:
+            with contextlib.suppress(WireError):
+                self._key = int(self.codec["CHALLENGE"].named(data)["key"])
 
     def _silent(self, waiting_for: str) -> SilentError:
         sil = f"is the firmware running there? (omnibot-sil --can INTERFACE --node {self.codec.node})"
@@ -217,11 +223,17 @@ class Link:
                 "rebuild the firmware from this protocol/omnibot.dbc (cmake --build --preset host) and start it again"
             )
         self.command("STOP")
+        self._wait_for_rest()
         self.command("CLEAR")
         self._use(pace)
         self._dropped_before = int(self.status.get("dropped_frames", 0))
         major, minor, patch = (int(identity[part]) for part in ("major", "minor", "patch"))
         return Identity(theirs, f"{major}.{minor}.{patch}")
+
+    def _wait_for_rest(self) -> None:
+        """Wait until a robot that was still driving, for another host, has braked."""
+        while self.mode() == "STOPPING":
+            self._wait_for("STATUS")
 
     def _use(self, pace: str) -> None:
         """Have the robot take its sensors from us, and step as ``pace`` says."""
@@ -254,13 +266,29 @@ class Link:
                     f"node {self.codec.node} on {self.bus.channel_info} never falls silent: {OTHER_HOST}"
                 )
 
+    def start(self) -> None:
+        """Have the robot drive: ARM it, and START with the key that it gives; RefusedError says why not."""
+        self._drain()
+        self._key = None
+        self._ask_for("ARM")
+        self._await_status("ARM")  # CHALLENGE comes before it
+        if self._key is None:
+            raise self._silent("CHALLENGE")
+        self._ask_for("START", self._key)
+        self._await_status("START")
+
     def command(self, operation: str) -> None:
         """Ask for a change of mode; RefusedError says why not."""
-        message = self.codec["COMMAND"]
         self._drain()
-        self.send("COMMAND", message.choices["operation"][operation], self._next_counter())
+        self._ask_for(operation)
+        self._await_status(operation)
+
+    def _ask_for(self, operation: str, key: int = 0) -> None:
+        self.send("COMMAND", self.codec["COMMAND"].choices["operation"][operation], self._next_counter(), key)
+
+    def _await_status(self, operation: str) -> None:
         # A STATUS that was under way before the command may come before the one that answers it.
-        wanted = {"START": "TRACKING", "CLEAR": "IDLE"}.get(operation)
+        wanted = {"ARM": "ARMED", "START": "TRACKING", "CLEAR": "IDLE"}.get(operation)
         status = self.codec["STATUS"]
         while True:
             answer = self._wait_for("STATUS")
@@ -282,7 +310,7 @@ class Link:
 
     def check_parameter(self, parameter: Parameter, value: float) -> None:
         """Make sure that the firmware holds a value: another host may have set another one meanwhile."""
-        self.send("PARAMETER_GET", parameter.index)
+        self.send("PARAMETER_GET", parameter.index, FIELD_VALUE, 0)
         self._check_held(parameter, value, self._wait_for("PARAMETER_VALUE"))
 
     def _check_held(self, parameter: Parameter, value: float, answer: Mapping[str, float]) -> None:
@@ -292,7 +320,7 @@ class Link:
 
     def upload(self, trajectory: bytes) -> None:
         """Send a trajectory and wait until the firmware has checked it."""
-        self.send("TRAJECTORY_BEGIN", len(trajectory), zlib.crc32(trajectory))
+        self.send("TRAJECTORY_BEGIN", len(trajectory), zlib.crc32(trajectory), self._next_counter())
         self._expect_ack("RECEIVING")
         step = TRAJECTORY_FRAME_BYTES
         for frame, offset in enumerate(range(0, len(trajectory), step), start=1):
@@ -312,6 +340,10 @@ class Link:
     def dropped(self) -> int:
         """Frames that the firmware dropped since ``hello``, by its newest STATUS."""
         return int(self.status.get("dropped_frames", 0)) - self._dropped_before
+
+    def mode(self) -> str:
+        """Return the mode in the newest STATUS."""
+        return self.codec["STATUS"].label("mode", self.status.get("mode", 0))
 
     def fault(self) -> str:
         """Return the name of the fault in the newest STATUS."""
@@ -333,7 +365,7 @@ class Link:
         """
         counter = tick & 0xF
         self.send_sensors(tick, pose, wheel_speed)
-        sync = self._sync.pack(tick, counter)
+        sync = self._sync.pack(tick, *self._seals)
         patience = Patience(self.timeout_s - self.repeat_s)
         while True:
             self._send(self._sync.arbitration_id, sync)
@@ -347,13 +379,18 @@ class Link:
     def send_sensors(self, tick: int, pose: Sequence[float] | None, wheel_speed: Sequence[float]) -> None:
         """Send the sensor frames of a tick: see ``tick``."""
         counter = tick & 0xF
+        pose_seal = 0
         if pose is not None:
-            self._send(self._pose.arbitration_id, self._pose.pack(*pose, counter))
-        self._send(self._wheels.arbitration_id, self._wheels.pack(*self._carried(wheel_speed), counter))
+            data = self._pose.pack(*pose, counter)
+            pose_seal = self._pose.seal(data)
+            self._send(self._pose.arbitration_id, data)
+        data = self._wheels.pack(*self._carried(wheel_speed), counter)
+        self._seals = pose_seal, self._wheels.seal(data)
+        self._send(self._wheels.arbitration_id, data)
 
     def send_sync(self, tick: int) -> None:
-        """Send a tick without waiting for its answer."""
-        self._send(self._sync.arbitration_id, self._sync.pack(tick, tick & 0xF))
+        """Send a tick, with its sensor frames sent before, without waiting for its answer."""
+        self._send(self._sync.arbitration_id, self._sync.pack(tick, *self._seals))
 
     def forget_rounding(self) -> None:
         """Start carrying over the rounding of wheel speeds from nothing."""

@@ -136,7 +136,7 @@ def drive_without_bus(link: Link, plant: Plant, robot: Robot, trajectory: Trajec
     plant.diverged |= not solved
     link.time_s = at * robot.control_period_s
     name = link.codec["TORQUE"].label("mode", mode)
-    if name == "FAULT":
+    if name in ("FAULT", "STOPPING"):
         with contextlib.suppress(OmnibotError):
             link.command("STOP")  # its STATUS tells the fault
     ended = left_tracking(link, Answer((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), name))

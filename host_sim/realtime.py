@@ -33,6 +33,7 @@ PHASE_STEP_MAX_S = 5e-6
 PHASE_ERROR_MAX = 0.25
 
 WARM_UP_PERIODS = 50
+REST_S = 3.0  # braking takes 2 s at most, and half a second at rest follows
 BACKLOG_FRAMES = 20  # are taken at a time: ten ticks
 
 HISTOGRAM_CLASS_US = 20.0
@@ -202,17 +203,24 @@ class _RealTimeDrive:
         self.recorder = TraceRecorder(self.ticks)
         self.timing = RealTiming(1e6 * self.period_s)
         self.listener = Listener(link, self.timing)
+        self.first_sync = 0  # the tick that SYNC carries at tick 0 of the drive
+
+    def sync_of(self, tick: int) -> int:
+        """Return the tick that SYNC carries: the host's ticks go on from those before the drive."""
+        return (self.first_sync + tick) & 0xFFFFFFFF
 
     def send(self, tick: int) -> None:
         """Send the sensors and the SYNC of a tick."""
         pose = self.readings.pose(tick, wrapped_pose(self.plant))
-        self.link.send_sensors(tick, pose, self.readings.wheel_speed(tick, self.plant))
-        self.link.send_sync(tick)
-        self.listener.sent(tick)
+        sync = self.sync_of(tick)
+        self.link.send_sensors(sync, pose, self.readings.wheel_speed(tick, self.plant))
+        self.link.send_sync(sync)
+        self.listener.sent(sync)
 
     def send_first(self) -> None:
-        """Send tick 0, as often as it takes, each time with the same bytes."""
+        """Send tick 0, as often as it takes, each time with the same readings and a SYNC that goes on."""
         self.link.forget_rounding()
+        self.first_sync += 1
         self.send(0)
 
     def warm_up(self) -> None:
@@ -228,7 +236,7 @@ class _RealTimeDrive:
         """Start the firmware and hold the plant until its first torque; returns when the plant's time begins."""
         self.warm_up()
         self.send_first()
-        self.link.command("START")
+        self.link.start()
         give_up_s = time.perf_counter() + self.link.timeout_s
         while time.perf_counter() < give_up_s:
             self.send_first()
@@ -255,7 +263,7 @@ class _RealTimeDrive:
 
     def advance(self, tick: int) -> tuple[Status, str] | None:
         """Integrate the period after a tick with the newest torque; returns why the run ends here, if it does."""
-        self.timing.late_ticks += self.listener.counter != tick & 0xF
+        self.timing.late_ticks += self.listener.counter != self.sync_of(tick) & 0xF
         answer = self.listener.newest
         assert answer is not None  # begin() saw to it
         self.timing.steps += 1
@@ -273,12 +281,23 @@ class _RealTimeDrive:
 
     def phase_step_s(self, tick: int, instant_s: float) -> float:
         """Return how far the next instant is put off to stay half a period before the firmware's steps."""
-        if self.listener.counter != tick & 0xF:
+        if self.listener.counter != self.sync_of(tick) & 0xF:
             return 0.0
         error_s = self.listener.answered_s - instant_s - 0.5 * self.period_s
         if abs(error_s) > PHASE_ERROR_MAX * self.period_s:
             return 0.0
         return max(-PHASE_STEP_MAX_S, min(PHASE_STEP_MAX_S, PHASE_GAIN * error_s))
+
+    def come_to_rest(self) -> None:
+        """Have the firmware stop, and be there until it has: a host that goes before is a fault."""
+        self.link.command("STOP")
+        instant_s = time.perf_counter()
+        for tick in range(self.ticks, self.ticks + round(REST_S / self.period_s)):
+            if self.link.mode() != "STOPPING":
+                return
+            instant_s += self.period_s
+            self.send(tick)
+            self.listener.listen(instant_s)
 
     def run(self) -> tuple[Status, str]:
         """Drive to the end of the trajectory."""
@@ -328,4 +347,7 @@ def drive_in_real_time(
     except KeyboardInterrupt:
         status, reason = Status.INTERRUPTED, f"stopped by Ctrl-C at {link.time_s:.3f} s"
     session.timing.total_s = time.perf_counter() - begin_s
+    if status is Status.COMPLETED:
+        with contextlib.suppress(OmnibotError):
+            session.come_to_rest()
     return Drive(status, reason, session.recorder.to_trace(), session.timing)

@@ -67,7 +67,7 @@ class BusLog:
 def prepare(link: Link, robot: Robot, scenario: Scenario, trajectory: Trajectory) -> Identity:
     """Bring the firmware to TRACKING, in lockstep, on a trajectory with the scenario's parameters."""
     identity, values = set_up(link, robot, scenario, trajectory)
-    link.command("START")
+    link.start()
     check_parameters(link, robot, values)  # now that nobody can change them any more
     return identity
 

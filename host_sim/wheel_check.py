@@ -6,10 +6,11 @@ encoder counts. So the torque tells whether encoder and motor agree; whether for
 """
 
 import argparse
+import itertools
 import math
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +23,7 @@ from host_sim.trajectory import Polyline, Segment, Trajectory
 
 BEAT_S = 0.01  # the robot stops when it has heard nothing for 0.1 s
 BEATS_BEFORE = 3  # a robot with a timer looks for pose and host in its first period already
+REST_S = 3.0  # braking takes 2 s at most, and half a second at rest follows
 AT_REST = (0.0, 0.0, 0.0)
 AGREED, OPPOSED = 0.8, 1.2  # of the torque at the start
 TORQUE_MAX_NM = 0.15  # half of what a TORQUE frame carries: the bound is twice the torque
@@ -99,15 +101,23 @@ def judge(first_Nm: float, last_Nm: float) -> Verdict:
     return Verdict(first_Nm, last_Nm, text)
 
 
+def come_to_rest(link: Link, beats: Iterator[int]) -> None:
+    """Go on until a robot that brakes is at rest: without a host that would be a fault."""
+    until_s = time.monotonic() + REST_S
+    while time.monotonic() < until_s and link.mode() == "STOPPING":
+        beat(link, next(beats), BEAT_S)
+
+
 def drive(link: Link, wheel: int, duration_s: float, show: Callable[[Array], None]) -> Verdict:
     """Drive the wheel for a time and stop; every tenth of a second the torques are shown."""
     told: list[Array] = []
-    for tick in range(BEATS_BEFORE):
-        beat(link, tick, BEAT_S)
-    link.command("START")
+    beats = itertools.count()
+    for _ in range(BEATS_BEFORE):
+        beat(link, next(beats), BEAT_S)
+    link.start()
     try:
         for tick in range(round(duration_s / BEAT_S)):
-            torques = beat(link, tick, BEAT_S)
+            torques = beat(link, next(beats), BEAT_S)
             if link.status.get("fault"):
                 raise OmnibotError(f"the robot stopped by itself: {link.fault()}")
             if torques is not None:
@@ -116,6 +126,7 @@ def drive(link: Link, wheel: int, duration_s: float, show: Callable[[Array], Non
                     show(torques)
     finally:
         link.command("STOP")
+        come_to_rest(link, beats)
     if not told:
         raise OmnibotError("the robot told no TORQUE: does it drive?")
     return judge(float(told[0][wheel - 1]), float(told[-1][wheel - 1]))

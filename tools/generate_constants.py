@@ -123,7 +123,8 @@ def table_header(parameters: tuple[Parameter, ...]) -> str:
     return (
         "#ifndef OMNIBOT_PARAMETER_TABLE_H\n#define OMNIBOT_PARAMETER_TABLE_H\n\n#include <stdbool.h>\n\n"
         f"enum {{\n{names}\n    PARAMETER_COUNT = {len(parameters)}\n}};\n\n"
-        "typedef struct {\n    float minimum, maximum, initial;\n    bool integer;\n} parameter_description_t;\n\n"
+        "typedef struct {\n    float minimum, maximum, initial;\n    bool integer;\n"
+        "    const char *name, *unit; // ASCII\n} parameter_description_t;\n\n"
         "extern const parameter_description_t parameter_table[PARAMETER_COUNT];\n\n#endif\n"
     )
 
@@ -132,7 +133,7 @@ def table_source(parameters: tuple[Parameter, ...]) -> str:
     """Return parameter_table.c: range and default of each parameter."""
     rows = "\n".join(
         f"    [PARAMETER_{p.name.upper()}] = {{{c_float(p.minimum)}, {c_float(p.maximum)}, {c_float(p.default)}, "
-        f"{'true' if p.integer else 'false'}}},"
+        f'{"true" if p.integer else "false"}, "{p.name}", "{p.unit}"}},'
         for p in parameters
     )
     table = "const parameter_description_t parameter_table[PARAMETER_COUNT]"

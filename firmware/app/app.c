@@ -2,17 +2,38 @@
 #include "app.h"
 
 #include "counter.h"
+#include "crc.h"
+#include "faults.h"
 #include "messages.h"
+#include "mode.h"
 #include "pace.h"
 #include "report.h"
 
 #include <string.h>
 
-static void clear_faults(app_t *app)
+// ---- what a frame must be to be taken
+
+/// Requests count up by one a frame. One that repeats the last, or is further on than loss explains, is a replay.
+static bool request_follows(app_t *app, uint8_t counter)
 {
-    app->fault = FAULT_NONE;
-    app->fault_mask = 0;
-    app->mode = mode_after(app->mode, EVENT_CLEAR);
+    const uint8_t ahead = (uint8_t)((counter - app->request_counter) & 0xFu);
+    const bool follows = !app->requests_known || (ahead >= 1 && ahead <= 1 + APP_REQUESTS_LOST_MAX);
+    if (follows) {
+        app->requests_known = true;
+        app->request_counter = counter;
+    } else {
+        report_drop(app, &app->drops.replayed);
+    }
+    return follows;
+}
+
+/// A frame of the tick before, or the second of this one, is late or a replay; what comes last may be whole.
+static void arrive(app_t *app, reading_t *reading, vec3_t value, uint8_t counter, const frame_t *frame)
+{
+    const bool late = app->sync_known && counter == (app->sync_tick & 0xFu);
+    if (late || !reading_arrive(reading, value, counter, crc8_frame(frame, frame->length))) {
+        report_drop(app, &app->drops.replayed);
+    }
 }
 
 // ---- what paces and moves the robot
@@ -27,6 +48,7 @@ static uint8_t use(app_t *app, uint8_t drive)
     }
     app->port.drive = drive;
     app->tick_known = false;
+    app->sync_known = false;
     app->sync_age_ticks = UINT32_MAX;
     pace_forget_readings(app);
     return REFUSAL_NONE;
@@ -39,8 +61,7 @@ static decode_result_t on_pose(app_t *app, const frame_t *frame)
     pose_message_t pose;
     const decode_result_t result = pose_decode(&pose, frame);
     if (result == DECODE_OK) {
-        app->pose.value = (vec3_t){pose.x1_m, pose.x2_m, pose.heading_rad};
-        app->pose.fresh = true;
+        arrive(app, &app->pose, (vec3_t){pose.x1_m, pose.x2_m, pose.heading_rad}, pose.counter, frame);
     }
     return result;
 }
@@ -50,8 +71,8 @@ static decode_result_t on_wheel_speed(app_t *app, const frame_t *frame)
     wheel_speed_message_t speed;
     const decode_result_t result = wheel_speed_decode(&speed, frame);
     if (result == DECODE_OK && app->port.drive != DRIVE_MOTORS) {
-        app->wheel_speed.value = (vec3_t){speed.wheel1_rad_per_s, speed.wheel2_rad_per_s, speed.wheel3_rad_per_s};
-        app->wheel_speed.fresh = true;
+        const vec3_t value = {speed.wheel1_rad_per_s, speed.wheel2_rad_per_s, speed.wheel3_rad_per_s};
+        arrive(app, &app->wheel_speed, value, speed.counter, frame);
     }
     return result;
 }
@@ -61,13 +82,14 @@ static decode_result_t on_sync(app_t *app, const frame_t *frame)
     sync_message_t sync;
     const decode_result_t result = sync_decode(&sync, frame);
     if (result == DECODE_OK) {
-        pace_on_sync(app, sync.tick);
+        pace_on_sync(app, &sync);
     }
     return result;
 }
 
-/// Starts at the trajectory's beginning with the next tick, whatever its number.
-static uint8_t start(app_t *app)
+/// Motion takes two steps: ARM is answered by a key that was never used before, and START must bring it. So no single
+/// frame, repeated or made by chance, can start it, nor a recording of an earlier start.
+static uint8_t arm(app_t *app)
 {
     if (app->mode != MODE_IDLE) {
         return REFUSAL_WRONG_MODE;
@@ -78,6 +100,27 @@ static uint8_t start(app_t *app)
     if (app->store.segment_count == 0) {
         return REFUSAL_NO_TRAJECTORY;
     }
+    app->key_state = app->key_state * 1664525u + 1013904223u; // the upper half of such a sequence repeats after 2^32
+    app->key = (uint16_t)(app->key_state >> 16);
+    app->armed_tick = app->tick;
+    app->mode = mode_after(app->mode, EVENT_ARM);
+    const challenge_message_t challenge = {.key = app->key, .ticks = APP_KEY_TICKS};
+    frame_t frame;
+    challenge_encode(&frame, app->node, &challenge);
+    report_send(app, &frame);
+    return REFUSAL_NONE;
+}
+
+/// Starts at the trajectory's beginning with the next tick, whatever its number.
+static uint8_t start(app_t *app, uint16_t key)
+{
+    if (app->mode != MODE_ARMED) {
+        return REFUSAL_WRONG_MODE;
+    }
+    if (key != app->key) {
+        app->mode = mode_after(app->mode, EVENT_LAPSE);
+        return REFUSAL_WRONG_KEY;
+    }
     app->cursor = (trajectory_cursor_t){0, 0};
     app->state = (control_state_t){0};
     app->torque_Nm = (vec3_t){0}; // of a drive before: the motors wait for the first step of this one
@@ -86,17 +129,28 @@ static uint8_t start(app_t *app)
     return REFUSAL_NONE;
 }
 
-static uint8_t perform(app_t *app, uint8_t operation)
+static uint8_t clear(app_t *app)
 {
-    switch (operation) {
+    if (!mode_is_safe(app->mode)) {
+        return REFUSAL_WRONG_MODE;
+    }
+    faults_clear(app);
+    app->mode = mode_after(app->mode, EVENT_CLEAR);
+    return REFUSAL_NONE;
+}
+
+static uint8_t perform(app_t *app, const command_message_t *command)
+{
+    switch (command->operation) {
+    case OPERATION_ARM:
+        return arm(app);
     case OPERATION_START:
-        return start(app);
+        return start(app, command->key);
     case OPERATION_STOP:
         app->mode = mode_after(app->mode, EVENT_STOP);
         return REFUSAL_NONE;
     case OPERATION_CLEAR:
-        clear_faults(app);
-        return REFUSAL_NONE;
+        return clear(app);
     case OPERATION_USE_LOCKSTEP:
         return use(app, DRIVE_LOCKSTEP);
     case OPERATION_USE_REALTIME:
@@ -112,22 +166,49 @@ static decode_result_t on_command(app_t *app, const frame_t *frame)
 {
     command_message_t command;
     const decode_result_t result = command_decode(&command, frame);
-    if (result == DECODE_OK) {
-        app->refusal = perform(app, command.operation);
+    if (result != DECODE_OK) {
+        return result;
+    }
+    // A stop is a stop, whoever repeats it: it can do no harm.
+    if (request_follows(app, command.counter) || command.operation == OPERATION_STOP) {
+        app->refusal = perform(app, &command);
         report_status(app);
     }
     return result;
 }
 
-static void send_parameter(app_t *app, uint8_t index, uint8_t result)
+static void send_value(app_t *app, uint8_t index, uint8_t field, uint8_t result)
 {
     const parameter_value_message_t answer = {
         .index = index,
         .result = result,
-        .value = index < PARAMETER_COUNT ? app->parameters.value[index] : NAN,
+        .field = field,
+        .value = result == PARAMETER_VALUE_RESULT_UNKNOWN_INDEX || result == PARAMETER_VALUE_RESULT_UNKNOWN_FIELD
+                     ? NAN
+                     : parameters_field(&app->parameters, index, field),
     };
     frame_t frame;
     parameter_value_encode(&frame, app->node, &answer);
+    report_send(app, &frame);
+}
+
+static void send_text(app_t *app, uint8_t index, uint8_t field, uint8_t part)
+{
+    char text[PARAMETER_TEXT_CHARACTERS];
+    parameters_text(index, field, part, text);
+    const parameter_text_message_t answer = {
+        .index = index,
+        .field = field,
+        .part = part,
+        .char0 = (uint8_t)text[0],
+        .char1 = (uint8_t)text[1],
+        .char2 = (uint8_t)text[2],
+        .char3 = (uint8_t)text[3],
+        .char4 = (uint8_t)text[4],
+        .char5 = (uint8_t)text[5],
+    };
+    frame_t frame;
+    parameter_text_encode(&frame, app->node, &answer);
     report_send(app, &frame);
 }
 
@@ -135,15 +216,16 @@ static decode_result_t on_parameter_set(app_t *app, const frame_t *frame)
 {
     parameter_set_message_t set;
     const decode_result_t result = parameter_set_decode(&set, frame);
-    if (result != DECODE_OK) {
+    if (result != DECODE_OK || !request_follows(app, set.counter)) {
         return result;
     }
-    uint8_t outcome = PARAMETER_VALUE_RESULT_IN_MOTION;
-    if (!mode_drives(app->mode)) {
+    uint8_t outcome =
+        set.index < PARAMETER_COUNT ? PARAMETER_VALUE_RESULT_IN_MOTION : PARAMETER_VALUE_RESULT_UNKNOWN_INDEX;
+    if (mode_is_safe(app->mode)) {
         outcome = parameters_set(&app->parameters, set.index, set.value);
         app->control = parameters_for_control(&app->parameters, app->robot);
     }
-    send_parameter(app, set.index, outcome);
+    send_value(app, set.index, FIELD_VALUE, outcome);
     return result;
 }
 
@@ -151,11 +233,31 @@ static decode_result_t on_parameter_get(app_t *app, const frame_t *frame)
 {
     parameter_get_message_t get;
     const decode_result_t result = parameter_get_decode(&get, frame);
-    if (result == DECODE_OK) {
-        const bool known = get.index < PARAMETER_COUNT;
-        send_parameter(app, get.index, known ? PARAMETER_VALUE_RESULT_OK : PARAMETER_VALUE_RESULT_UNKNOWN_INDEX);
+    if (result != DECODE_OK) {
+        return result;
+    }
+    if (get.index >= PARAMETER_COUNT) {
+        send_value(app, get.index, get.field, PARAMETER_VALUE_RESULT_UNKNOWN_INDEX);
+    } else if (get.field == FIELD_NAME || get.field == FIELD_UNIT) {
+        send_text(app, get.index, get.field, get.part);
+    } else {
+        const bool known = get.field <= FIELD_TYPE;
+        send_value(app, get.index, get.field, known ? PARAMETER_VALUE_RESULT_OK : PARAMETER_VALUE_RESULT_UNKNOWN_FIELD);
     }
     return result;
+}
+
+/// No port keeps parameters yet: those in force are the defaults and what was set since.
+static void send_parameter_store(app_t *app)
+{
+    const parameter_store_message_t store = {
+        .origin = ORIGIN_NO_MEMORY,
+        .count = PARAMETER_COUNT,
+        .unsaved = 0,
+    };
+    frame_t frame;
+    parameter_store_encode(&frame, app->node, &store);
+    report_send(app, &frame);
 }
 
 static void send_trajectory_ack(app_t *app, store_answer_t answer)
@@ -175,9 +277,9 @@ static decode_result_t on_trajectory_begin(app_t *app, const frame_t *frame)
 {
     trajectory_begin_message_t begin;
     const decode_result_t result = trajectory_begin_decode(&begin, frame);
-    if (result == DECODE_OK) {
-        send_trajectory_ack(app, mode_drives(app->mode) ? refused_in_motion
-                                                        : store_begin(&app->store, begin.length_bytes, begin.crc32));
+    if (result == DECODE_OK && request_follows(app, begin.counter)) {
+        send_trajectory_ack(app, mode_is_safe(app->mode) ? store_begin(&app->store, begin.length_bytes, begin.crc32)
+                                                         : refused_in_motion);
     }
     return result;
 }
@@ -189,10 +291,22 @@ static decode_result_t on_trajectory_data(app_t *app, const frame_t *frame)
     if (result == DECODE_OK) {
         const uint8_t byte[STORE_BYTES_PER_FRAME] = {data.byte0, data.byte1, data.byte2,
                                                      data.byte3, data.byte4, data.byte5};
-        send_trajectory_ack(app, mode_drives(app->mode) ? refused_in_motion
-                                                        : store_data(&app->store, data.offset_bytes, byte));
+        send_trajectory_ack(app, mode_is_safe(app->mode) ? store_data(&app->store, data.offset_bytes, byte)
+                                                         : refused_in_motion);
     }
     return result;
+}
+
+/// A host that begins: its requests and, in lockstep, its ticks are counted anew. A robot that moves in lockstep has
+/// lost the world that it moved in; one that moves by its own timer goes on until it is told to stop.
+static void begin_session(app_t *app)
+{
+    app->requests_known = false;
+    if (!pace_is_timer(app)) {
+        app->sync_known = false;
+        app->tick_known = false;
+        report_event(app, app->fault_mask == 0 ? EVENT_RESTART : EVENT_CUT);
+    }
 }
 
 static decode_result_t on_hello(app_t *app, const frame_t *frame)
@@ -203,6 +317,9 @@ static decode_result_t on_hello(app_t *app, const frame_t *frame)
         return result;
     }
     app->peer_matches = hello.protocol_hash == PROTOCOL_HASH;
+    if (app->peer_matches) {
+        begin_session(app);
+    }
     const identity_message_t identity = {
         .protocol_hash = PROTOCOL_HASH,
         .major = APP_VERSION_MAJOR,
@@ -214,24 +331,46 @@ static decode_result_t on_hello(app_t *app, const frame_t *frame)
     frame_t answer;
     identity_encode(&answer, app->node, &identity);
     report_send(app, &answer);
+    send_parameter_store(app);
     return result;
 }
 
 // ---- the outside
 
-static const struct {
-    uint8_t function;
-    decode_result_t (*handle)(app_t *app, const frame_t *frame);
-} handlers[] = {
-    {POSE_FUNCTION, on_pose},
-    {WHEEL_SPEED_FUNCTION, on_wheel_speed},
-    {SYNC_FUNCTION, on_sync},
-    {COMMAND_FUNCTION, on_command},
-    {PARAMETER_SET_FUNCTION, on_parameter_set},
-    {PARAMETER_GET_FUNCTION, on_parameter_get},
-    {TRAJECTORY_BEGIN_FUNCTION, on_trajectory_begin},
-    {TRAJECTORY_DATA_FUNCTION, on_trajectory_data},
-    {HELLO_FUNCTION, on_hello},
+/// Identifiers that only this robot may use: whoever else does takes its part.
+static decode_result_t on_own_message(app_t *app, const frame_t *frame)
+{
+    (void)frame;
+    report_drop(app, &app->drops.masqueraded);
+    return DECODE_OK;
+}
+
+enum { FUNCTIONS = 0x800 >> FRAME_NODE_BITS };
+
+static decode_result_t (*const handlers[FUNCTIONS])(app_t *app, const frame_t *frame) = {
+    [POSE_FUNCTION] = on_pose,
+    [WHEEL_SPEED_FUNCTION] = on_wheel_speed,
+    [SYNC_FUNCTION] = on_sync,
+    [COMMAND_FUNCTION] = on_command,
+    [PARAMETER_SET_FUNCTION] = on_parameter_set,
+    [PARAMETER_GET_FUNCTION] = on_parameter_get,
+    [TRAJECTORY_BEGIN_FUNCTION] = on_trajectory_begin,
+    [TRAJECTORY_DATA_FUNCTION] = on_trajectory_data,
+    [HELLO_FUNCTION] = on_hello,
+    [TORQUE_FUNCTION] = on_own_message,
+    [SLIP_FUNCTION] = on_own_message,
+    [STATUS_FUNCTION] = on_own_message,
+    [TIMING_FUNCTION] = on_own_message,
+    [HEALTH_FUNCTION] = on_own_message,
+    [CRASH_FUNCTION] = on_own_message,
+    [DROPS_FUNCTION] = on_own_message,
+    [FAULT_RECORD_FUNCTION] = on_own_message,
+    [CHALLENGE_FUNCTION] = on_own_message,
+    [PARAMETER_VALUE_FUNCTION] = on_own_message,
+    [PARAMETER_TEXT_FUNCTION] = on_own_message,
+    [PARAMETER_STORE_FUNCTION] = on_own_message,
+    [TRAJECTORY_ACK_FUNCTION] = on_own_message,
+    [IDENTITY_FUNCTION] = on_own_message,
 };
 
 void app_init(app_t *app, const robot_t *robot, uint8_t node, app_port_t port)
@@ -245,7 +384,7 @@ void app_init(app_t *app, const robot_t *robot, uint8_t node, app_port_t port)
     pace_forget_readings(app);
     parameters_reset(&app->parameters);
     app->control = parameters_for_control(&app->parameters, robot);
-    pace_handle_event(app, EVENT_READY);
+    report_event(app, EVENT_READY);
 }
 
 void app_receive(app_t *app, const frame_t *frame)
@@ -254,17 +393,24 @@ void app_receive(app_t *app, const frame_t *frame)
         return;
     }
     const uint16_t function = frame->id >> FRAME_NODE_BITS;
-    for (size_t i = 0; i < sizeof handlers / sizeof handlers[0]; i++) {
-        if (handlers[i].function == function) {
-            if (handlers[i].handle(app, frame) != DECODE_OK) {
-                counter_add(&app->dropped_frames, 1);
-            }
-            return;
-        }
+    if (function < FUNCTIONS && handlers[function] != NULL && handlers[function](app, frame) != DECODE_OK) {
+        report_drop(app, &app->drops.damaged);
     }
 }
 
 bool app_transmit(app_t *app, frame_t *frame)
 {
+    if (outbox_pop(&app->outbox, frame)) {
+        return true;
+    }
+    if (!app->status_owed) {
+        return false;
+    }
+    report_status(app); // there is room now
     return outbox_pop(&app->outbox, frame);
+}
+
+void app_stir(app_t *app, uint32_t bits)
+{
+    app->key_state ^= bits;
 }

@@ -5,26 +5,24 @@
 #ifndef OMNIBOT_APP_APP_H
 #define OMNIBOT_APP_APP_H
 
+#include "braking.h"
 #include "control.h"
+#include "fault_table.h"
 #include "frame.h"
 #include "outbox.h"
 #include "parameters.h"
+#include "reading.h"
 #include "store.h"
 
 enum {
     APP_STATUS_EVERY_TICKS = 100,
     APP_HEARTBEAT_TICKS_MAX = 100, // a host that has sent no SYNC for longer is gone
+    APP_KEY_TICKS = 5000,          // START must come so soon after ARM
+    APP_REQUESTS_LOST_MAX = 2,     // in a row: a counter that is further on is none of a request that follows
     APP_VERSION_MAJOR = 0,
     APP_VERSION_MINOR = 1,
     APP_VERSION_PATCH = 0
 };
-
-/// A sensor reading and how old it is.
-typedef struct {
-    vec3_t value;
-    uint32_t age_ticks;
-    bool fresh; // came since the last tick
-} reading_t;
 
 /// What a port can do. A drive says what paces the robot and what it moves:
 /// DRIVE_LOCKSTEP: sensors from the bus, one step a SYNC; DRIVE_REALTIME: sensors from the bus, steps by the port's
@@ -45,6 +43,16 @@ typedef struct {
     float supply_V;       // NaN: not measured
 } app_health_t;
 
+/// Frames that were not taken, by reason, and those that found no room on their way out; each stops at its largest
+/// value.
+typedef struct {
+    uint16_t damaged;     // wrong length or CRC
+    uint16_t replayed;    // repeated, late, or with a counter that does not follow
+    uint16_t masqueraded; // under an identifier that is this robot's to send
+    uint16_t unsent;
+    uint16_t all;
+} drops_t;
+
 /// How long the steps took since the last TIMING.
 typedef struct {
     uint32_t count;
@@ -59,12 +67,22 @@ typedef struct {
     uint8_t fault;   // FAULT_… that came first since the last CLEAR
     uint8_t refusal; // REFUSAL_… of the last COMMAND
     uint16_t fault_mask;
-    uint16_t dropped_frames; // damaged, or no room in the outbox; stops at its largest value
-    uint16_t missed_ticks;   // since START; likewise
+    uint32_t fault_tick[FAULT_COUNT];  // at which each came last
+    uint16_t fault_count[FAULT_COUNT]; // since app_init; stops at its largest value
+    uint16_t records_owed;             // a bit a fault: their FAULT_RECORD is due
+    drops_t drops;
+    bool status_owed;        // one found no room
+    uint16_t missed_ticks;   // since START; stops at its largest value
     uint16_t overruns;       // periods without a step, by the port; since START; likewise
     bool peer_matches;       // HELLO brought our protocol hash
+    bool requests_known;     // a request has come since the last HELLO
+    uint8_t request_counter; // of that one
+    uint16_t key;            // that START must carry
+    uint32_t key_state;      // what the next one is made of
+    uint32_t armed_tick;     // of the last ARM
     bool tick_known;         // a tick has come since START
     uint32_t tick;           // of the last step: the host's in lockstep, else counted from START
+    bool sync_known;         // a SYNC has come since the host's ticks began
     uint32_t sync_tick;      // of the last SYNC
     uint32_t sync_age_ticks; // since it, by the port's timer
     uint16_t overdue_ticks;  // periods that the port says passed without a step, since the last one
@@ -72,6 +90,9 @@ typedef struct {
     reading_t pose;          // x1, x2 (m), θ (rad)
     reading_t wheel_speed;   // rad/s
     trajectory_cursor_t cursor;
+    bool located;        // a step has been made since START, from a pose that was read
+    uint32_t advance_us; // of the trajectory's time that a period takes
+    braking_t braking;
     control_state_t state;
     parameters_t parameters;
     control_params_t control; // made from the parameters
@@ -87,11 +108,11 @@ typedef struct {
     outbox_t outbox;
 } app_t;
 
-/// Ready in IDLE with default parameters and no trajectory.
+/// Ready in IDLE, without a trajectory.
 void app_init(app_t *app, const robot_t *robot, uint8_t node, app_port_t port);
 
-/// Takes one frame off the bus; frames of other nodes and functions are ignored, damaged ones counted. Answers go to
-/// the outbox.
+/// Takes one frame off the bus. Frames of other nodes and functions are ignored; damaged and replayed ones, and those
+/// under this robot's own identifiers, are counted and change nothing else. Answers go to the outbox.
 void app_receive(app_t *app, const frame_t *frame);
 
 /// Gives the next frame for the bus; false when there is none.
@@ -103,7 +124,11 @@ void app_tick(app_t *app);
 /// So many periods have passed without a step; to be told before the next app_tick, which moves time on by them.
 void app_note_overrun(app_t *app, uint32_t periods);
 
-/// Wheel speeds by the port's encoders, before app_tick; taken in DRIVE_MOTORS.
+/// Something that nobody can foresee, such as a clock's finest bits: goes into the key of the next ARM. Without it the
+/// keys are the same after every start, as a run that is to be repeated wants it.
+void app_stir(app_t *app, uint32_t bits);
+
+/// Wheel speeds by the port's encoders, before app_tick; taken in DRIVE_MOTORS. Those that no wheel has are none.
 void app_set_wheel_speed(app_t *app, vec3_t rad_per_s);
 
 /// What the motors have to give. False, and zeros, unless the robot drives its own motors: then their bridges are off.

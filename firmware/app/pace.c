@@ -2,44 +2,34 @@
 #include "pace.h"
 
 #include "counter.h"
+#include "faults.h"
 #include "messages.h"
+#include "mode.h"
 #include "report.h"
+
+/// No wheel turns faster; what an encoder says beyond is no speed. 1000 rad/s are 35 m/s.
+#define WHEEL_SPEED_MAX_RAD_PER_S 1000.0f
 
 void pace_forget_readings(app_t *app)
 {
-    app->pose = (reading_t){.age_ticks = UINT32_MAX};
-    app->wheel_speed = (reading_t){.age_ticks = UINT32_MAX};
+    reading_forget(&app->pose);
+    reading_forget(&app->wheel_speed);
 }
 
 void pace_start(app_t *app)
 {
     if (!pace_is_timer(app)) {
         pace_forget_readings(app);
+        app->sync_known = false;
     }
     app->tick_known = false;
     app->missed_ticks = 0;
     app->overruns = 0;
     app->missed_in_row = 0;
     app->overdue_ticks = 0;
-}
-
-// A COMMAND has its one STATUS anyway, and the host takes the first for the answer.
-void pace_handle_event(app_t *app, event_t event)
-{
-    const uint8_t mode = mode_after(app->mode, event);
-    if (mode != app->mode) {
-        app->mode = mode;
-        report_status(app);
-    }
-}
-
-static void raise_fault(app_t *app, uint8_t fault)
-{
-    if (app->fault == FAULT_NONE) {
-        app->fault = fault;
-    }
-    app->fault_mask |= (uint16_t)(1u << fault);
-    pace_handle_event(app, EVENT_FAULT);
+    app->located = false;
+    app->advance_us = app->robot->control_period_us;
+    braking_reset(&app->braking);
 }
 
 bool pace_is_timer(const app_t *app)
@@ -52,12 +42,6 @@ static bool host_is_there(const app_t *app)
     return app->sync_age_ticks <= APP_HEARTBEAT_TICKS_MAX;
 }
 
-static void age(reading_t *reading, uint32_t ticks)
-{
-    reading->age_ticks = reading->fresh ? 0 : counter_sum(reading->age_ticks, ticks);
-    reading->fresh = false;
-}
-
 static bool is_stale(const app_t *app, const reading_t *reading, float timeout_s)
 {
     return (float)reading->age_ticks * (float)app->robot->control_period_us > timeout_s * 1.0e6f;
@@ -67,17 +51,34 @@ static bool is_stale(const app_t *app, const reading_t *reading, float timeout_s
 static void check_readings(app_t *app)
 {
     if (is_stale(app, &app->pose, app->parameters.value[PARAMETER_POSE_TIMEOUT_S])) {
-        raise_fault(app, FAULT_STALE_POSE);
+        faults_raise(app, FAULT_STALE_POSE);
     }
     if (is_stale(app, &app->wheel_speed, app->parameters.value[PARAMETER_WHEEL_SPEED_TIMEOUT_S])) {
-        raise_fault(app, FAULT_STALE_WHEEL_SPEED);
+        faults_raise(app, FAULT_STALE_WHEEL_SPEED);
     }
     if (pace_is_timer(app) && !host_is_there(app)) {
-        raise_fault(app, FAULT_HOST_SILENT);
+        faults_raise(app, FAULT_HOST_SILENT);
     }
 }
 
-/// The torque of this tick; zeros when the mode does not drive or a fault comes up.
+/// Where the robot should be: on its trajectory, ever slower in STOPPING. Theory of the latter: braking.h.
+static reference_t reference_now(app_t *app)
+{
+    reference_t reference = trajectory_reference(app->store.segment, app->store.segment_count, &app->cursor);
+    if (app->mode == MODE_STOPPING) {
+        const float acceleration_mps2 = app->parameters.value[PARAMETER_BRAKING_M_PER_S2];
+        app->advance_us = braking_step(&app->braking, app->robot, acceleration_mps2, &reference);
+    }
+    return reference;
+}
+
+static bool is_lost(const app_t *app, vec3_t error)
+{
+    const float limit_m = app->parameters.value[PARAMETER_ERROR_LIMIT_M];
+    return error.x * error.x + error.y * error.y > limit_m * limit_m;
+}
+
+/// The torque of this tick; zeros when the mode does not drive or a fault ends it.
 static control_output_t drive(app_t *app)
 {
     control_output_t output = {0};
@@ -85,13 +86,17 @@ static control_output_t drive(app_t *app)
         return output;
     }
     const control_input_t input = {
-        .pose_is_new = app->pose.age_ticks == 0,
+        .pose_is_new = app->pose.age_ticks == 0 || !app->located, // the first may be from shortly before START
         .pose = app->pose.value,
         .wheel_speed_rad_per_s = app->wheel_speed.value,
-        .reference = trajectory_reference(app->store.segment, app->store.segment_count, &app->cursor),
+        .reference = reference_now(app),
     };
+    app->located = true;
     if (!control_step(&app->control, &app->state, &input, &output)) {
-        raise_fault(app, FAULT_NOT_FINITE);
+        faults_raise(app, FAULT_NOT_FINITE);
+    } else if (is_lost(app, output.error)) {
+        faults_raise(app, FAULT_ERROR_LIMIT);
+        output = (control_output_t){0};
     }
     return output;
 }
@@ -128,7 +133,7 @@ static void note_missed(app_t *app, uint32_t missed)
     counter_add(&app->missed_ticks, missed);
     app->missed_in_row = missed > 0 ? counter_sum(app->missed_in_row, missed) : 0;
     if ((float)app->missed_in_row > app->parameters.value[PARAMETER_TICK_GAP_MAX]) {
-        raise_fault(app, pace_is_timer(app) ? FAULT_OVERRUN : FAULT_TICK_GAP);
+        faults_raise(app, pace_is_timer(app) ? FAULT_OVERRUN : FAULT_TICK_GAP);
     }
 }
 
@@ -136,8 +141,7 @@ static void note_missed(app_t *app, uint32_t missed)
 static void move_on(app_t *app, uint32_t ticks)
 {
     // A gap that is no fault is at most a few periods: the product cannot overflow.
-    trajectory_advance(app->store.segment, app->store.segment_count, &app->cursor,
-                       ticks * app->robot->control_period_us);
+    trajectory_advance(app->store.segment, app->store.segment_count, &app->cursor, ticks * app->advance_us);
     for (uint32_t missed = 1; missed < ticks; missed++) {
         control_coast(&app->control, &app->state);
     }
@@ -153,15 +157,27 @@ static void advance_to(app_t *app, uint32_t tick)
             move_on(app, ticks);
         }
     }
-    age(&app->pose, ticks);
-    age(&app->wheel_speed, ticks);
+    reading_age(&app->pose, ticks);
+    reading_age(&app->wheel_speed, ticks);
     app->tick = tick;
     app->tick_known = true;
+}
+
+/// What ends by time alone: the key of ARM, and braking.
+static void check_time(app_t *app)
+{
+    if (app->mode == MODE_ARMED && app->tick - app->armed_tick >= APP_KEY_TICKS) {
+        report_event(app, EVENT_LAPSE);
+    }
+    if (app->mode == MODE_STOPPING && braking_is_over(&app->braking)) {
+        report_event(app, app->fault_mask == 0 ? EVENT_REST : EVENT_REST_WITH_FAULT);
+    }
 }
 
 static void step(app_t *app, uint32_t tick)
 {
     advance_to(app, tick);
+    check_time(app);
     if (mode_drives(app->mode)) {
         check_readings(app);
     }
@@ -177,28 +193,51 @@ static void on_host_tick(app_t *app, uint32_t tick)
     report_due(app);
 }
 
-static void on_lockstep(app_t *app, uint32_t tick)
+/// A tick that has come before: the host has missed the answer.
+static void answer_again(app_t *app)
 {
-    if (app->tick_known && tick == app->tick) {
-        if (!mode_drives(app->mode)) {
-            compose_answers(app, &(control_output_t){0}); // it may have driven when the tick came first
-        }
-        send_answers(app);
-        return;
+    if (!mode_drives(app->mode)) {
+        compose_answers(app, &(control_output_t){0}); // it may have driven when the tick came first
     }
-    if (app->tick_known && tick < app->tick) {
-        app->tick_known = false;
-        pace_handle_event(app, EVENT_RESTART);
-    }
-    on_host_tick(app, tick);
+    send_answers(app);
 }
 
-void pace_on_sync(app_t *app, uint32_t tick)
+static void confirm(app_t *app, reading_t *reading, uint8_t counter, uint8_t crc)
 {
-    app->sync_tick = tick;
-    app->sync_age_ticks = 0;
-    if (!pace_is_timer(app)) {
-        on_lockstep(app, tick);
+    const reading_verdict_t verdict = reading_confirm(reading, counter, crc);
+    if (verdict == READING_OF_ANOTHER_TICK) {
+        report_drop(app, &app->drops.replayed);
+    } else if (verdict == READING_DAMAGED) {
+        report_drop(app, &app->drops.damaged);
+    }
+}
+
+/// Ticks of a host go forward, by any number; only where nothing moves may they begin anew.
+static bool is_new_tick(app_t *app, uint32_t tick)
+{
+    if (app->sync_known && (int32_t)(tick - app->sync_tick) < 0 && mode_is_safe(app->mode)) {
+        app->sync_known = false;
+        app->tick_known = false;
+    }
+    return !app->sync_known || (int32_t)(tick - app->sync_tick) > 0;
+}
+
+void pace_on_sync(app_t *app, const sync_message_t *sync)
+{
+    const uint8_t counter = sync->tick & 0xFu;
+    if (is_new_tick(app, sync->tick)) {
+        app->sync_tick = sync->tick;
+        app->sync_known = true;
+        app->sync_age_ticks = 0;
+        confirm(app, &app->pose, counter, sync->pose_crc);
+        confirm(app, &app->wheel_speed, counter, sync->wheel_speed_crc);
+        if (!pace_is_timer(app)) {
+            on_host_tick(app, sync->tick);
+        }
+    } else if (sync->tick == app->sync_tick && !pace_is_timer(app)) {
+        answer_again(app);
+    } else {
+        report_drop(app, &app->drops.replayed);
     }
 }
 
@@ -227,9 +266,8 @@ void app_note_overrun(app_t *app, uint32_t periods)
 
 void app_set_wheel_speed(app_t *app, vec3_t rad_per_s)
 {
-    if (app->port.drive == DRIVE_MOTORS) {
-        app->wheel_speed.value = rad_per_s;
-        app->wheel_speed.fresh = true;
+    if (app->port.drive == DRIVE_MOTORS && vec3_max_abs(rad_per_s) <= WHEEL_SPEED_MAX_RAD_PER_S) {
+        reading_take(&app->wheel_speed, rad_per_s);
     }
 }
 
@@ -243,6 +281,6 @@ bool app_motor_torque(const app_t *app, vec3_t *torque_Nm)
 void app_note_motor_fault(app_t *app, uint8_t fault)
 {
     if (app_motor_torque(app, &(vec3_t){0})) {
-        raise_fault(app, fault);
+        faults_raise(app, fault);
     }
 }

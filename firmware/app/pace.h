@@ -4,21 +4,18 @@
 #define OMNIBOT_APP_PACE_H
 
 #include "app.h"
-#include "mode.h"
+#include "messages.h"
 
 /// True where the port's timer makes the ticks, not the host's SYNC.
 bool pace_is_timer(const app_t *app);
 
-/// A SYNC of the host: a step in lockstep, elsewhere its heartbeat.
-void pace_on_sync(app_t *app, uint32_t tick);
+/// A SYNC of the host: vouches for the readings of its tick; a step in lockstep, elsewhere the host's heartbeat.
+void pace_on_sync(app_t *app, const sync_message_t *sync);
 
 /// Forgets how long ago things were heard: what was read before a pause without ticks is of unknown age.
 void pace_forget_readings(app_t *app);
 
 /// Time starts anew with the next tick, whatever its number.
 void pace_start(app_t *app);
-
-/// Changes the mode by an event that no COMMAND asked for, and tells of it.
-void pace_handle_event(app_t *app, event_t event);
 
 #endif

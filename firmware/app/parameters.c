@@ -35,6 +35,35 @@ uint8_t parameters_set(parameters_t *parameters, uint8_t index, float value)
     return PARAMETER_VALUE_RESULT_OK;
 }
 
+float parameters_field(const parameters_t *parameters, uint8_t index, uint8_t field)
+{
+    const parameter_description_t *description = &parameter_table[index];
+    switch (field) {
+    case FIELD_DEFAULT:
+        return description->initial;
+    case FIELD_MINIMUM:
+        return description->minimum;
+    case FIELD_MAXIMUM:
+        return description->maximum;
+    case FIELD_TYPE:
+        return description->integer ? 1.0f : 0.0f;
+    default:
+        return parameters->value[index];
+    }
+}
+
+void parameters_text(uint8_t index, uint8_t field, uint8_t part, char text[PARAMETER_TEXT_CHARACTERS])
+{
+    const char *next = field == FIELD_NAME ? parameter_table[index].name : parameter_table[index].unit;
+    for (int left = part * PARAMETER_TEXT_CHARACTERS; left > 0 && *next != '\0'; left--) {
+        next++;
+    }
+    for (int i = 0; i < PARAMETER_TEXT_CHARACTERS; i++) {
+        text[i] = *next;
+        next += *next != '\0' ? 1 : 0;
+    }
+}
+
 control_params_t parameters_for_control(const parameters_t *parameters, const robot_t *robot)
 {
     const float *value = parameters->value;

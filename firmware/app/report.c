@@ -2,12 +2,19 @@
 #include "report.h"
 
 #include "counter.h"
+#include "faults.h"
 #include "messages.h"
+
+void report_drop(app_t *app, uint16_t *reason)
+{
+    counter_add(reason, 1);
+    counter_add(&app->drops.all, 1);
+}
 
 void report_send(app_t *app, const frame_t *frame)
 {
     if (!outbox_push(&app->outbox, frame)) {
-        counter_add(&app->dropped_frames, 1);
+        report_drop(app, &app->drops.unsent);
     }
 }
 
@@ -18,11 +25,33 @@ void report_status(app_t *app)
         .refusal = app->refusal,
         .fault = app->fault,
         .fault_mask = app->fault_mask,
-        .dropped_frames = app->dropped_frames,
+        .dropped_frames = app->drops.all,
         .missed_ticks = app->missed_ticks,
     };
     frame_t frame;
     status_encode(&frame, app->node, &status);
+    app->status_owed = !outbox_push(&app->outbox, &frame);
+}
+
+void report_event(app_t *app, event_t event)
+{
+    const uint8_t mode = mode_after(app->mode, event);
+    if (mode != app->mode) {
+        app->mode = mode;
+        report_status(app);
+    }
+}
+
+static void send_drops(app_t *app)
+{
+    const drops_message_t drops = {
+        .damaged = app->drops.damaged,
+        .replayed = app->drops.replayed,
+        .masqueraded = app->drops.masqueraded,
+        .unsent = app->drops.unsent,
+    };
+    frame_t frame;
+    drops_encode(&frame, app->node, &drops);
     report_send(app, &frame);
 }
 
@@ -78,12 +107,43 @@ static void send_health(app_t *app)
     }
 }
 
+static void send_record(app_t *app, uint8_t fault)
+{
+    const fault_record_message_t record = {
+        .fault = fault,
+        .reaction = fault_table[fault].reaction,
+        .count = app->fault_count[fault],
+        .tick = app->fault_tick[fault],
+    };
+    frame_t frame;
+    fault_record_encode(&frame, app->node, &record);
+    report_send(app, &frame);
+}
+
+/// One a tick, and not in the tick of the fault itself: that has enough to do.
+static void send_owed_record(app_t *app)
+{
+    for (uint32_t fault = 1; fault < FAULT_COUNT; fault++) {
+        if (((uint32_t)app->records_owed >> fault & 1u) != 0) {
+            app->records_owed &= (uint16_t) ~(1u << fault);
+            send_record(app, (uint8_t)fault);
+            return;
+        }
+    }
+}
+
 void report_due(app_t *app)
 {
-    if (app->tick % APP_STATUS_EVERY_TICKS == 0) {
+    const uint32_t phase = app->tick % APP_STATUS_EVERY_TICKS;
+    if (phase == 0) {
         report_status(app);
         send_timing(app);
         send_health(app);
+    } else if (phase == APP_STATUS_EVERY_TICKS / 2) { // the work of a tick stays small
+        send_drops(app);
+        app->records_owed = (uint16_t)(app->records_owed | (app->fault == FAULT_NONE ? 0u : 1u << app->fault));
+    } else if (app->records_owed != 0 && app->fault_tick[app->fault] != app->tick) {
+        send_owed_record(app);
     }
 }
 
@@ -100,6 +160,9 @@ void app_note_health(app_t *app, const app_health_t *health)
 {
     app->health = *health;
     app->health_known = true;
+    if (health->can_state == CAN_STATE_BUS_OFF && mode_drives(app->mode)) {
+        faults_raise(app, FAULT_BUS_OFF);
+    }
 }
 
 void app_note_crash(app_t *app, uint32_t pc, uint32_t lr)

@@ -70,7 +70,7 @@ static bool ask(int socket, uint8_t node, uint32_t ticks)
     pose_encode(&pose, node, &(pose_message_t){0});
     wheel_speed_encode(&speed, node, &(wheel_speed_message_t){0});
     for (uint32_t tick = 0; tick < ticks; tick++) {
-        sync_encode(&sync, node, &(sync_message_t){tick, (uint8_t)(tick & 0xFu)});
+        sync_encode(&sync, node, &(sync_message_t){.tick = tick});
         if (!socketcan_send(socket, &pose) || !socketcan_send(socket, &speed) || !socketcan_send(socket, &sync) ||
             !wait_for_answers(socket)) {
             return false;

@@ -160,19 +160,36 @@ static void host_sends(const frame_t *frame)
     loop_turn(&loop);
 }
 
+static uint8_t next_request(void)
+{
+    static uint8_t requests;
+    requests = (uint8_t)((requests + 1) & 0xFu);
+    return requests;
+}
+
+/// With the key that the robot gave, as a host that has read its CHALLENGE.
 static void command(uint8_t operation)
 {
     frame_t frame;
-    command_encode(&frame, NODE, &(command_message_t){.operation = operation});
+    const command_message_t message = {.operation = operation, .counter = next_request(), .key = loop.app.key};
+    command_encode(&frame, NODE, &message);
     host_sends(&frame);
+}
+
+static void arm_and_start(void)
+{
+    command(OPERATION_ARM);
+    command(OPERATION_START);
 }
 
 static void heartbeat(uint32_t tick)
 {
     frame_t frame;
-    pose_encode(&frame, NODE, &(pose_message_t){0});
+    const uint8_t counter = tick & 0xFu;
+    pose_encode(&frame, NODE, &(pose_message_t){.counter = counter});
     host_sends(&frame);
-    sync_encode(&frame, NODE, &(sync_message_t){.tick = tick});
+    const uint8_t pose_crc = crc8_frame(&frame, frame.length);
+    sync_encode(&frame, NODE, &(sync_message_t){.tick = tick, .pose_crc = pose_crc});
     host_sends(&frame);
 }
 
@@ -190,7 +207,8 @@ static void upload(void)
         crc = crc32_update(crc, byte[i]);
     }
     frame_t frame;
-    trajectory_begin_encode(&frame, NODE, &(trajectory_begin_message_t){SEGMENT_BYTES, crc32_finish(crc)});
+    trajectory_begin_encode(&frame, NODE,
+                            &(trajectory_begin_message_t){SEGMENT_BYTES, crc32_finish(crc), next_request()});
     host_sends(&frame);
     for (uint16_t at = 0; at < SEGMENT_BYTES; at = (uint16_t)(at + FRAME_BYTES)) {
         const uint8_t *b = byte + at;
@@ -216,7 +234,7 @@ static void drive(void)
     command(OPERATION_USE_MOTORS);
     heartbeat(0);
     pass(1);
-    command(OPERATION_START);
+    arm_and_start();
     pass(1);
 }
 
@@ -365,7 +383,7 @@ static void test_motors_stay_off_in_lockstep(void)
     hello_encode(&frame, NODE, &(hello_message_t){PROTOCOL_HASH});
     host_sends(&frame);
     upload();
-    command(OPERATION_START);
+    arm_and_start();
     for (uint32_t tick = 0; tick < 10; tick++) {
         heartbeat(tick);
         pass(1);
@@ -374,11 +392,15 @@ static void test_motors_stay_off_in_lockstep(void)
     assert_wheels_at_rest();
 }
 
-static void test_stop_switches_off_with_the_next_tick(void)
+enum { REST_PERIODS = 2600 }; // 2 s of braking at most, half a second at rest
+
+static void test_stop_brakes_and_switches_off_at_rest(void)
 {
     drive();
     command(OPERATION_STOP);
     pass(1);
+    TEST_ASSERT_TRUE(bridges_are_on());
+    pass(REST_PERIODS);
     assert_wheels_at_rest();
 }
 
@@ -388,8 +410,10 @@ static void test_host_that_falls_silent_stops_the_motors(void)
     pass(97);
     TEST_ASSERT_TRUE(bridges_are_on());
     pass(2);
-    assert_wheels_at_rest();
     TEST_ASSERT_EQUAL_UINT8(FAULT_HOST_SILENT, loop.app.fault);
+    TEST_ASSERT_EQUAL_UINT8(MODE_STOPPING, loop.app.mode);
+    pass(REST_PERIODS);
+    assert_wheels_at_rest();
 }
 
 static void test_low_battery_stops_the_motors_for_good(void)
@@ -441,7 +465,7 @@ static void test_empty_battery_refuses_to_drive_and_nothing_moves(void)
     command(OPERATION_USE_MOTORS);
     heartbeat(0);
     pass(1);
-    command(OPERATION_START);
+    arm_and_start();
     pass(1);
     never_switched_on();
     TEST_ASSERT_EQUAL_UINT8(FAULT_SUPPLY, loop.app.fault);
@@ -583,7 +607,7 @@ int main(void)
     RUN_TEST(test_motors_are_driven_after_use_motors_and_start);
     RUN_TEST(test_wheels_push_to_the_side_where_the_path_is);
     RUN_TEST(test_motors_stay_off_in_lockstep);
-    RUN_TEST(test_stop_switches_off_with_the_next_tick);
+    RUN_TEST(test_stop_brakes_and_switches_off_at_rest);
     RUN_TEST(test_host_that_falls_silent_stops_the_motors);
     RUN_TEST(test_low_battery_stops_the_motors_for_good);
     RUN_TEST(test_3V3_that_sinks_stops_the_motors_at_once);

@@ -7,6 +7,7 @@
 #include <math.h>
 #include <string.h>
 
+enum { KEY_TICKS = 5000, REQUESTS_LOST_MAX = 2 };
 enum { HEARTBEAT_TICKS_MAX = 100, PERIOD_US = 1000, DATA_BYTES = 6, BYTES_PER_ACK = 16 * DATA_BYTES };
 
 static const model_reading_t never_read = {.age_ticks = UINT32_MAX};
@@ -30,9 +31,31 @@ void model_init(model_t *model, uint8_t drives, uint8_t drive)
     }
 }
 
+bool model_drives(const model_t *model)
+{
+    return model->mode == MODE_TRACKING || model->mode == MODE_STOPPING;
+}
+
+bool model_is_safe(const model_t *model)
+{
+    return !model_drives(model) && model->mode != MODE_ARMED;
+}
+
 // ---- commands
 
-static uint8_t start(model_t *model)
+bool model_request(model_t *model, uint8_t counter)
+{
+    const unsigned ahead = (16u + counter - model->request_counter) % 16u;
+    if (model->requests_known && (ahead == 0 || ahead > 1 + REQUESTS_LOST_MAX)) {
+        model->replayed++;
+        return false;
+    }
+    model->requests_known = true;
+    model->request_counter = counter;
+    return true;
+}
+
+static uint8_t arm(model_t *model)
 {
     if (model->mode != MODE_IDLE) {
         return REFUSAL_WRONG_MODE;
@@ -43,12 +66,29 @@ static uint8_t start(model_t *model)
     if (model->held_bytes == 0) {
         return REFUSAL_NO_TRAJECTORY;
     }
+    model->mode = MODE_ARMED;
+    model->armed_tick = model->tick;
+    return REFUSAL_NONE;
+}
+
+static uint8_t start(model_t *model, bool key_fits)
+{
+    if (model->mode != MODE_ARMED) {
+        return REFUSAL_WRONG_MODE;
+    }
+    if (!key_fits) {
+        model->mode = MODE_IDLE;
+        return REFUSAL_WRONG_KEY;
+    }
     model->mode = MODE_TRACKING;
     model->tick_known = false;
     model->missed_in_row = 0;
     model->overdue_ticks = 0;
+    model->located = false;
+    model->stopping_ticks = 0;
     if (model->drive == DRIVE_LOCKSTEP) {
         forget_readings(model);
+        model->sync_known = false;
     }
     return REFUSAL_NONE;
 }
@@ -63,6 +103,7 @@ static uint8_t use(model_t *model, uint8_t drive)
     }
     model->drive = drive;
     model->tick_known = false;
+    model->sync_known = false;
     model->silent_ticks = UINT32_MAX;
     forget_readings(model);
     return REFUSAL_NONE;
@@ -70,23 +111,28 @@ static uint8_t use(model_t *model, uint8_t drive)
 
 static uint8_t stop(model_t *model)
 {
-    model->mode = model->mode == MODE_TRACKING ? MODE_IDLE : model->mode;
+    model->mode = model->mode == MODE_TRACKING ? MODE_STOPPING : model->mode == MODE_ARMED ? MODE_IDLE : model->mode;
     return REFUSAL_NONE;
 }
 
 static uint8_t clear(model_t *model)
 {
-    model->mode = model->mode == MODE_FAULT ? MODE_IDLE : model->mode;
+    if (!model_is_safe(model)) {
+        return REFUSAL_WRONG_MODE;
+    }
+    model->mode = MODE_IDLE;
     model->fault = FAULT_NONE;
     model->fault_mask = 0;
     return REFUSAL_NONE;
 }
 
-uint8_t model_command(model_t *model, uint8_t operation)
+uint8_t model_command(model_t *model, uint8_t operation, bool key_fits)
 {
     switch (operation) {
+    case OPERATION_ARM:
+        return arm(model);
     case OPERATION_START:
-        return start(model);
+        return start(model, key_fits);
     case OPERATION_STOP:
         return stop(model);
     case OPERATION_CLEAR:
@@ -102,12 +148,72 @@ uint8_t model_command(model_t *model, uint8_t operation)
     }
 }
 
+void model_hello(model_t *model)
+{
+    model->requests_known = false;
+    if (model->drive == DRIVE_LOCKSTEP) {
+        model->sync_known = false;
+        model->tick_known = false;
+        if (!model_is_safe(model)) {
+            model->mode = model->fault_mask != 0 ? MODE_FAULT : MODE_IDLE;
+        }
+    }
+}
+
+// ---- readings and ticks
+
+void model_arrive(model_t *model, model_reading_t *reading, uint8_t counter, uint8_t crc, bool available)
+{
+    if (model->sync_known && counter == model->sync_tick % 16u) {
+        model->replayed++;
+        return;
+    }
+    model->replayed += reading->waits ? 1 : 0;
+    *reading = (model_reading_t){reading->age_ticks, reading->fresh, true, available, counter, crc};
+}
+
+static void vouch(model_t *model, model_reading_t *reading, uint8_t counter, uint8_t crc)
+{
+    if (!reading->waits) {
+        return;
+    }
+    reading->waits = false;
+    if (reading->counter != counter) {
+        model->replayed++;
+    } else if (reading->crc != crc) {
+        model->damaged++;
+    } else {
+        reading->fresh = reading->fresh || reading->available;
+    }
+}
+
+model_sync_t model_sync(model_t *model, uint32_t tick, uint8_t pose_crc, uint8_t wheel_speed_crc)
+{
+    const uint8_t counter = tick % 16u;
+    const bool back = model->sync_known && tick - model->sync_tick >= 0x80000000u;
+    if (back && model_is_safe(model)) {
+        model->sync_known = false;
+        model->tick_known = false;
+    }
+    if (model->sync_known && (back || tick == model->sync_tick)) {
+        const bool again = !back && model->drive == DRIVE_LOCKSTEP;
+        model->replayed += again ? 0 : 1;
+        return again ? SYNC_AGAIN : SYNC_REPLAYED;
+    }
+    model->sync_known = true;
+    model->sync_tick = tick;
+    model->silent_ticks = 0;
+    vouch(model, &model->pose, counter, pose_crc);
+    vouch(model, &model->wheel_speed, counter, wheel_speed_crc);
+    return SYNC_NEW;
+}
+
 // ---- parameters
 
 uint8_t model_set(model_t *model, uint8_t index, float value)
 {
-    if (model->mode == MODE_TRACKING) {
-        return PARAMETER_VALUE_RESULT_IN_MOTION;
+    if (!model_is_safe(model)) {
+        return index < PARAMETER_COUNT ? PARAMETER_VALUE_RESULT_IN_MOTION : PARAMETER_VALUE_RESULT_UNKNOWN_INDEX;
     }
     if (index >= PARAMETER_COUNT) {
         return PARAMETER_VALUE_RESULT_UNKNOWN_INDEX;
@@ -125,7 +231,7 @@ uint8_t model_set(model_t *model, uint8_t index, float value)
 
 model_ack_t model_begin(model_t *model, uint16_t length_bytes, uint32_t crc32)
 {
-    if (model->mode == MODE_TRACKING) {
+    if (!model_is_safe(model)) {
         return (model_ack_t){true, TRAJECTORY_ACK_RESULT_IN_MOTION};
     }
     if (length_bytes == 0 || length_bytes > MODEL_BYTES_MAX || length_bytes % MODEL_BYTES_PER_SEGMENT != 0) {
@@ -169,7 +275,7 @@ static uint8_t finish(model_t *model)
 
 model_ack_t model_data(model_t *model, uint16_t offset_bytes, const uint8_t data[6])
 {
-    if (model->mode == MODE_TRACKING) {
+    if (!model_is_safe(model)) {
         return (model_ack_t){true, TRAJECTORY_ACK_RESULT_IN_MOTION};
     }
     if (!model->receiving || offset_bytes != model->received_bytes) {
@@ -202,6 +308,9 @@ static void judge_age(model_faults_t *faults, const model_reading_t *reading, fl
     faults->possible = (uint16_t)(faults->possible | (age_us >= timeout_us * 0.999999 && age_us > 0.0 ? bit : 0u));
 }
 
+/// Faults that leave a robot that knows where it is able to brake.
+static const uint16_t braking = 1u << FAULT_STALE_POSE | 1u << FAULT_HOST_SILENT | 1u << FAULT_BUS_OFF;
+
 static model_faults_t judge_readings(const model_t *model)
 {
     model_faults_t faults = {0, 0};
@@ -211,8 +320,8 @@ static model_faults_t judge_readings(const model_t *model)
         faults.certain |= 1u << FAULT_HOST_SILENT;
     }
     faults.possible |= faults.certain;
-    if (faults.certain == 0) {
-        faults.possible |= 1u << FAULT_NOT_FINITE; // only what has all its data computes
+    if ((faults.certain & ~braking) == 0) {
+        faults.possible |= 1u << FAULT_NOT_FINITE | 1u << FAULT_ERROR_LIMIT; // what drives on computes
     }
     return faults;
 }
@@ -224,18 +333,27 @@ static bool is_gap(model_t *model, uint32_t ticks)
     return (double)model->missed_in_row > (double)model->parameter[PARAMETER_TICK_GAP_MAX];
 }
 
+static void lapse(model_t *model)
+{
+    if (model->mode == MODE_ARMED && model->tick - model->armed_tick >= KEY_TICKS) {
+        model->mode = MODE_IDLE;
+    }
+}
+
 model_faults_t model_step(model_t *model, uint32_t tick)
 {
     const uint32_t ticks = model->tick_known ? tick - model->tick : 1;
-    const bool tracking = model->mode == MODE_TRACKING;
-    const bool gap = tracking && model->tick_known && is_gap(model, ticks);
+    const bool driving = model_drives(model);
+    const bool gap = driving && model->tick_known && is_gap(model, ticks);
     model->tick = tick;
     model->tick_known = true;
     age(&model->pose, ticks);
     age(&model->wheel_speed, ticks);
-    if (!tracking) {
+    lapse(model);
+    if (!driving) {
         return (model_faults_t){0, 0};
     }
+    model->stopping_ticks = model->mode == MODE_STOPPING ? model->stopping_ticks + 1 : 0;
     if (gap) {
         const uint16_t bit = (uint16_t)(1u << (model->drive == DRIVE_LOCKSTEP ? FAULT_TICK_GAP : FAULT_OVERRUN));
         return (model_faults_t){bit, bit};
@@ -245,7 +363,17 @@ model_faults_t model_step(model_t *model, uint32_t tick)
 
 void model_note_faults(model_t *model, uint8_t fault, uint16_t fault_mask)
 {
+    const uint16_t new = fault_mask &(uint16_t)~model->fault_mask;
     model->fault = fault;
     model->fault_mask = fault_mask;
-    model->mode = fault_mask != 0 ? MODE_FAULT : model->mode;
+    if ((new & ~braking) != 0 || (new != 0 && !model->located)) {
+        model->mode = MODE_FAULT;
+    } else if (new != 0 && model->mode == MODE_TRACKING) {
+        model->mode = MODE_STOPPING;
+    }
+}
+
+void model_rest(model_t *model)
+{
+    model->mode = model->fault_mask != 0 ? MODE_FAULT : MODE_IDLE;
 }

@@ -142,10 +142,26 @@ static void send_hello(subject_t *subject, uint32_t hash)
     subject_receive(subject, &frame);
 }
 
+static uint8_t next_request(const subject_t *subject)
+{
+    return (uint8_t)((subject->model.request_counter + 1u) & 0xFu);
+}
+
+/// With the key of the last CHALLENGE, as a host that has read it.
 static void send_command(subject_t *subject, uint8_t operation)
 {
     frame_t frame;
-    command_encode(&frame, SUBJECT_NODE, &(command_message_t){.operation = operation});
+    const command_message_t command = {operation, next_request(subject), subject->app.key};
+    command_encode(&frame, SUBJECT_NODE, &command);
+    subject_receive(subject, &frame);
+}
+
+/// Any key, and a counter that may be that of a replay or of a loss.
+static void strange_command(subject_t *subject, source_t *source)
+{
+    frame_t frame;
+    const uint8_t operation = take(source) % (OPERATION_RESET_PARAMETERS + 2), counter = take(source);
+    command_encode(&frame, SUBJECT_NODE, &(command_message_t){operation, counter, take16(source)});
     subject_receive(subject, &frame);
 }
 
@@ -157,7 +173,7 @@ static void hello(subject_t *subject, source_t *source)
 
 static void command(subject_t *subject, source_t *source)
 {
-    send_command(subject, take(source) % (OPERATION_USE_MOTORS + 2));
+    send_command(subject, take(source) % (OPERATION_ARM + 2));
 }
 
 /// In range, at its ends, just outside, or anything.
@@ -188,14 +204,15 @@ static void parameter_set(subject_t *subject, source_t *source)
     const uint8_t index = take(source) % (PARAMETER_COUNT + 2);
     const float value = parameter_value(source, &parameter_table[index < PARAMETER_COUNT ? index : 0]);
     frame_t frame;
-    parameter_set_encode(&frame, SUBJECT_NODE, &(parameter_set_message_t){.index = index, .value = value});
+    parameter_set_encode(&frame, SUBJECT_NODE, &(parameter_set_message_t){index, value, next_request(subject)});
     subject_receive(subject, &frame);
 }
 
 static void parameter_get(subject_t *subject, source_t *source)
 {
     frame_t frame;
-    parameter_get_encode(&frame, SUBJECT_NODE, &(parameter_get_message_t){take(source)});
+    const uint8_t index = take(source), field = take(source);
+    parameter_get_encode(&frame, SUBJECT_NODE, &(parameter_get_message_t){index, field, take(source)});
     subject_receive(subject, &frame);
 }
 
@@ -204,7 +221,8 @@ static void parameter_get(subject_t *subject, source_t *source)
 static void send_begin(subject_t *subject, uint16_t length_bytes, uint32_t crc32)
 {
     frame_t frame;
-    trajectory_begin_encode(&frame, SUBJECT_NODE, &(trajectory_begin_message_t){length_bytes, crc32});
+    trajectory_begin_encode(&frame, SUBJECT_NODE,
+                            &(trajectory_begin_message_t){length_bytes, crc32, next_request(subject)});
     subject_receive(subject, &frame);
 }
 
@@ -292,29 +310,38 @@ static void make_ready(subject_t *subject, source_t *source)
     if (subject->model.held_bytes == 0 || take(source) < 0x40) {
         upload(subject, source);
     }
+    send_command(subject, OPERATION_ARM);
     send_command(subject, OPERATION_START);
 }
 
 // ---- time
 
-static void send_pose(subject_t *subject, vec3_t pose)
+/// A sensor frame of a tick goes in; SYNC vouches for it by what is returned.
+static uint8_t send_sensor(subject_t *subject, const frame_t *frame)
 {
-    frame_t frame;
-    pose_encode(&frame, SUBJECT_NODE, &(pose_message_t){pose.x, pose.y, pose.z, 0});
-    subject_receive(subject, &frame);
+    subject_receive(subject, frame);
+    return oracle_crc8(frame, frame->length);
 }
 
-static void send_wheel_speed(subject_t *subject, vec3_t rad_per_s)
+static uint8_t send_pose(subject_t *subject, vec3_t pose, uint32_t tick)
 {
     frame_t frame;
-    wheel_speed_encode(&frame, SUBJECT_NODE, &(wheel_speed_message_t){rad_per_s.x, rad_per_s.y, rad_per_s.z, 0});
-    subject_receive(subject, &frame);
+    pose_encode(&frame, SUBJECT_NODE, &(pose_message_t){pose.x, pose.y, pose.z, tick & 0xFu});
+    return send_sensor(subject, &frame);
 }
 
-static void send_sync(subject_t *subject, uint32_t tick)
+static uint8_t send_wheel_speed(subject_t *subject, vec3_t rad_per_s, uint32_t tick)
 {
     frame_t frame;
-    sync_encode(&frame, SUBJECT_NODE, &(sync_message_t){tick, (uint8_t)(tick & 0xFu)});
+    const wheel_speed_message_t speed = {rad_per_s.x, rad_per_s.y, rad_per_s.z, tick & 0xFu};
+    wheel_speed_encode(&frame, SUBJECT_NODE, &speed);
+    return send_sensor(subject, &frame);
+}
+
+static void send_sync(subject_t *subject, uint32_t tick, uint8_t pose_crc, uint8_t wheel_speed_crc)
+{
+    frame_t frame;
+    sync_encode(&frame, SUBJECT_NODE, &(sync_message_t){tick, pose_crc, wheel_speed_crc});
     subject_receive(subject, &frame);
 }
 
@@ -332,12 +359,14 @@ static vec3_t take_vector(source_t *source)
 
 static void pose(subject_t *subject, source_t *source)
 {
-    send_pose(subject, take_vector(source));
+    const vec3_t at = take_vector(source);
+    (void)send_pose(subject, at, subject->model.sync_tick + 1 + take(source) / 0xF0);
 }
 
 static void wheel_speed(subject_t *subject, source_t *source)
 {
-    send_wheel_speed(subject, take_vector(source));
+    const vec3_t speed = take_vector(source);
+    (void)send_wheel_speed(subject, speed, subject->model.sync_tick + 1 + take(source) / 0xF0);
 }
 
 static void motor_speed(subject_t *subject, source_t *source)
@@ -349,13 +378,15 @@ static void motor_speed(subject_t *subject, source_t *source)
 static void sync(subject_t *subject, source_t *source)
 {
     const uint8_t kind = take(source);
-    const uint32_t last = subject->model.tick;
+    const uint32_t last = subject->model.sync_tick;
     const uint32_t tick = kind < 0x80   ? last + 1
                           : kind < 0xA0 ? last
                           : kind < 0xE0 ? last + (kind & 0x1Fu)
                           : kind < 0xF0 ? last - (kind & 0xFu)
                                         : take32(source);
-    send_sync(subject, tick);
+    // Mostly it vouches for what waits.
+    const uint8_t wrong = take(source) / 0xF0;
+    send_sync(subject, tick, subject->model.pose.crc ^ wrong, subject->model.wheel_speed.crc);
 }
 
 static void timer_tick(subject_t *subject, source_t *source)
@@ -370,9 +401,9 @@ static void drive(subject_t *subject, source_t *source)
 {
     const vec3_t at = take_vector(source), speed = take_vector(source);
     for (int left = 1 + (take(source) & 15); left > 0; left--) {
-        send_pose(subject, at);
-        send_wheel_speed(subject, speed);
-        send_sync(subject, subject->model.tick + 1);
+        const uint32_t tick = subject->model.sync_tick + 1;
+        const uint8_t pose_crc = send_pose(subject, at, tick);
+        send_sync(subject, tick, pose_crc, send_wheel_speed(subject, speed, tick));
         subject_set_wheel_speed(subject, speed);
         subject_tick(subject);
     }
@@ -382,6 +413,21 @@ static void drive(subject_t *subject, source_t *source)
 static void silence(subject_t *subject, source_t *source)
 {
     for (int left = take(source); left > 0; left--) {
+        subject_tick(subject);
+    }
+}
+
+/// Ticks as they should be, for as long as it takes to brake.
+static void settle(subject_t *subject, source_t *source)
+{
+    if (take(source) >= 0x20 || subject->model.mode != MODE_STOPPING) {
+        return;
+    }
+    for (int left = 2600; left > 0 && subject->model.mode == MODE_STOPPING; left--) {
+        const uint32_t tick = subject->model.sync_tick + 1;
+        const uint8_t pose_crc = send_pose(subject, subject->app.state.pose.value, tick);
+        send_sync(subject, tick, pose_crc, send_wheel_speed(subject, (vec3_t){0}, tick));
+        subject_set_wheel_speed(subject, (vec3_t){0});
         subject_tick(subject);
     }
 }
@@ -435,7 +481,7 @@ static instruction_t *const instructions[] = {
     any_frame, any_whole_frame, damaged_frame, hello, command,     parameter_set, parameter_get, begin,
     data,      upload,          make_ready,    pose,  wheel_speed, motor_speed,   sync,          sync,
     sync,      timer_tick,      timer_tick,    drive, drive,       drive,         drive,         silence,
-    overrun,   step_time,       health,        crash, hold,        make_ready,    motor_fault,   any_whole_frame,
+    overrun,   step_time,       health,        crash, hold,        settle,        motor_fault,   strange_command,
 };
 
 static instruction_t *const setup_instructions[] = {

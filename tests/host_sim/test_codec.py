@@ -22,7 +22,7 @@ ROUND_TRIPS = 200  # a message
 
 each_golden = pytest.mark.parametrize("row", GOLDEN, ids=lambda row: f"{row['message']}: {row['why']}")
 each_message = pytest.mark.parametrize("message", DATABASE.messages, ids=lambda message: message.name)
-each_guarded = pytest.mark.parametrize("name", ["COMMAND", "SYNC", "TORQUE", "PARAMETER_SET"])
+each_guarded = pytest.mark.parametrize("name", ["COMMAND", "SYNC", "TORQUE", "PARAMETER_SET", "TRAJECTORY_BEGIN"])
 
 
 def number(value: float | None) -> float:
@@ -135,7 +135,7 @@ def test_unpack_of_the_most_negative_raw_value_is_not_available() -> None:
 @pytest.mark.parametrize("counter", [-1, 16, 1e9, 0.5, -0.5, math.nan, math.inf])
 def test_pack_of_an_unsigned_value_that_does_not_fit_is_refused_by_name(counter: float) -> None:
     with pytest.raises(OmnibotError, match=r"counter = .* must be a whole number, 0 … 15"):
-        Codec()["SYNC"].pack(1, counter)
+        Codec()["TRAJECTORY_BEGIN"].pack(1, 1, counter)
 
 
 def test_pack_of_a_float_beyond_single_precision_is_refused_by_name() -> None:
@@ -165,7 +165,7 @@ def test_unpack_of_a_wrong_length_is_refused(message: Message) -> None:
 def test_messages_with_a_crc_are_those_tested_here() -> None:
     guarded = [m.name for m in DATABASE.messages if any(s.name == "crc" for s in m.signals)]
 
-    assert guarded == ["COMMAND", "SYNC", "TORQUE", "PARAMETER_SET"]
+    assert guarded == ["COMMAND", "SYNC", "TORQUE", "PARAMETER_SET", "TRAJECTORY_BEGIN"]
 
 
 @each_guarded
@@ -214,7 +214,7 @@ def test_node_that_does_not_exist_is_refused(node: int) -> None:
 def test_label_is_the_definitions_name_or_the_number() -> None:
     status = Codec()["STATUS"]
 
-    assert status.label("mode", 2) == "TRACKING"
+    assert status.label("mode", 3) == "TRACKING"
     assert status.label("mode", 9) == "9"
     assert status.choices["fault"]["TICK_GAP"] == 3
 

@@ -145,7 +145,7 @@ def test_flood_of_the_whole_bus_lets_nothing_pass_until_its_end_but_what_waits_i
 
 
 def test_flood_of_a_part_lets_through_what_fits() -> None:
-    # A SYNC takes 116 bits: of the 500 that are left, four fit.
+    # A SYNC takes 125 bits: of the 500 that are left, four fit.
     bus, ends = faulty(Fault(Kind.FLOOD, rate=0.5))
     with bus:
         bus.begin_tick(0)

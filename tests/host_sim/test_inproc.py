@@ -41,7 +41,7 @@ def bus() -> Iterator[InprocBus]:
 def get_parameter(bus: can.BusABC, codec: Codec, index: int) -> float:
     """The value that the firmware on a bus holds."""
     message = codec["PARAMETER_GET"]
-    bus.send(can.Message(arbitration_id=message.arbitration_id, is_extended_id=False, data=message.pack(index)))
+    bus.send(can.Message(arbitration_id=message.arbitration_id, is_extended_id=False, data=message.pack(index, 0, 0)))
     answer = bus.recv(0.1)
     assert answer is not None
     return codec["PARAMETER_VALUE"].named(bytes(answer.data))["value"]
@@ -78,7 +78,7 @@ def test_two_buses_do_not_share_a_session() -> None:
         Link(first, codec).hello()
 
         with pytest.raises(RefusedError, match="UNKNOWN_PEER"):
-            Link(second, codec).command("START")
+            Link(second, codec).start()
 
 
 def test_firmware_answers_only_to_its_node() -> None:

@@ -68,7 +68,7 @@ def link(bus: DisturbedBus, monkeypatch: pytest.MonkeyPatch) -> Link:
 def tracking(link: Link) -> Link:
     link.hello()
     link.upload(straight_line().to_bytes())
-    link.command("START")
+    link.start()
     return link
 
 
@@ -94,7 +94,7 @@ def undisturbed_answers() -> list[Answer]:
         link = Link(bus, CODEC)
         link.hello()
         link.upload(straight_line().to_bytes())
-        link.command("START")
+        link.start()
         return drive(link)
 
 
@@ -168,10 +168,15 @@ def test_parameter_set_is_what_the_firmware_then_has(bus: DisturbedBus, link: Li
 
     link.set_parameter(epsilon, 0.25)
 
-    link.send("PARAMETER_GET", epsilon.index)
+    link.send("PARAMETER_GET", epsilon.index, 0, 0)
     answer = bus.recv(0.1)
     assert answer is not None
-    assert CODEC["PARAMETER_VALUE"].named(bytes(answer.data)) == {"index": epsilon.index, "result": 0, "value": 0.25}
+    assert CODEC["PARAMETER_VALUE"].named(bytes(answer.data)) == {
+        "index": epsilon.index,
+        "result": 0,
+        "field": 0,
+        "value": 0.25,
+    }
 
 
 @pytest.mark.parametrize(
@@ -208,7 +213,7 @@ def test_upload_is_taken_and_can_be_started(link: Link, segments: int) -> None:
 
     link.upload(straight_line(segments).to_bytes())
 
-    link.command("START")
+    link.start()
     assert drive(link, 1)[0].mode == "TRACKING"
 
 
@@ -260,7 +265,7 @@ def test_upload_with_a_byte_changed_is_refused_and_nothing_is_held(
     with pytest.raises(RefusedError, match="at byte 100: WRONG_CRC"):
         link.upload(straight_line().to_bytes())
     with pytest.raises(RefusedError, match="NO_TRAJECTORY"):
-        link.command("START")
+        link.start()
 
 
 def test_upload_in_motion_is_refused(tracking: Link) -> None:
@@ -272,32 +277,32 @@ def test_upload_in_motion_is_refused(tracking: Link) -> None:
 
 
 def test_start_without_hello_is_refused(link: Link) -> None:
-    with pytest.raises(RefusedError, match=r"refused START: UNKNOWN_PEER \(mode IDLE\)"):
-        link.command("START")
+    with pytest.raises(RefusedError, match=r"refused ARM: UNKNOWN_PEER \(mode IDLE\)"):
+        link.start()
 
 
 def test_start_without_a_trajectory_is_refused(link: Link) -> None:
     link.hello()
 
-    with pytest.raises(RefusedError, match=r"refused START: NO_TRAJECTORY \(mode IDLE\)"):
-        link.command("START")
+    with pytest.raises(RefusedError, match=r"refused ARM: NO_TRAJECTORY \(mode IDLE\)"):
+        link.start()
 
 
 def test_start_in_motion_is_refused(tracking: Link) -> None:
-    with pytest.raises(RefusedError, match=r"refused START: WRONG_MODE \(mode TRACKING\)"):
-        tracking.command("START")
+    with pytest.raises(RefusedError, match=r"refused ARM: WRONG_MODE \(mode TRACKING\)"):
+        tracking.start()
 
 
 def test_stop_after_a_refused_start_is_not_refused(tracking: Link) -> None:
     with pytest.raises(RefusedError):
-        tracking.command("START")
+        tracking.start()
 
     tracking.command("STOP")
 
-    assert tracking.tick(0, (0, 0, 0), (0, 0, 0)).mode == "IDLE"
+    assert tracking.tick(0, (0, 0, 0), (0, 0, 0)).mode == "STOPPING"
 
 
-@pytest.mark.parametrize("operation", ["START", "STOP", "CLEAR"])
+@pytest.mark.parametrize("operation", ["ARM", "STOP", "CLEAR"])
 def test_command_is_answered_with_one_status(link: Link, bus: DisturbedBus, operation: str) -> None:
     link.hello()
     link.upload(straight_line().to_bytes())
@@ -310,7 +315,7 @@ def test_command_is_answered_with_one_status(link: Link, bus: DisturbedBus, oper
 def test_command_is_not_answered_by_the_status_of_an_earlier_refusal(link: Link) -> None:
     link.hello()
     with pytest.raises(RefusedError, match="NO_TRAJECTORY"):
-        link.command("START")
+        link.start()
     link.tick(100, (0, 0, 0), (0, 0, 0))  # a tick with a status, which repeats the refusal
 
     link.command("STOP")
@@ -333,18 +338,20 @@ def test_tick_before_start_is_answered_with_no_torque(link: Link) -> None:
     assert link.tick(7, (0.1, 0.2, 0.3), (1.0, 2.0, 3.0)) == Answer((0.0,) * 3, (0.0,) * 3, "IDLE")
 
 
-def test_tick_with_a_pose_not_available_is_a_fault_without_torque(tracking: Link) -> None:
+def test_tick_with_a_pose_not_available_is_one_without_a_pose(tracking: Link) -> None:
     answer = tracking.tick(0, (math.nan, 0.0, 0.0), (0.0, 0.0, 0.0))
     tracking.command("STOP")
 
     assert answer == Answer((0.0,) * 3, (0.0,) * 3, "FAULT")
-    assert tracking.fault() == "NOT_FINITE"
+    assert tracking.fault() == "STALE_POSE"
 
 
-def test_tick_that_goes_back_is_a_new_host_and_stops(tracking: Link) -> None:
-    drive(tracking)
+def test_tick_that_goes_back_is_a_replay_and_not_answered(tracking: Link) -> None:
+    answers = drive(tracking)
 
-    assert tracking.tick(0, (0, 0, 0), (0, 0, 0)) == Answer((0.0,) * 3, (0.0,) * 3, "IDLE")
+    with pytest.raises(SilentError, match="TORQUE for tick 0"):
+        tracking.tick(0, (0, 0, 0), (0, 0, 0))
+    assert tracking.tick(len(answers), (0, 0, 0), (0, 0, 0)).mode == "TRACKING"
 
 
 @pytest.mark.parametrize("lost", ["TORQUE", "SLIP"])
@@ -476,6 +483,7 @@ def test_parameter_that_another_host_has_changed_is_noticed(bus: DisturbedBus, l
     epsilon = ROBOT.parameter("epsilon")
     mine.set_parameter(epsilon, 0.01)
     mine.check_parameter(epsilon, 0.01)
+    other.hello()
     other.set_parameter(epsilon, 0.5)
     with pytest.raises(RefusedError, match=r"holds epsilon = 0\.5, not 0\.01.*--node"):
         mine.check_parameter(epsilon, 0.01)
@@ -505,7 +513,7 @@ def test_bus_that_fails_to_send_is_an_error_that_names_it(bus: DisturbedBus, mon
     monkeypatch.setattr(bus, "send", broken)
 
     with pytest.raises(OmnibotError, match=r"cannot send on omnibot firmware in-process.*: cable unplugged"):
-        Link(bus, CODEC).send("PARAMETER_GET", 0)
+        Link(bus, CODEC).send("PARAMETER_GET", 0, 0, 0)
 
 
 FULL = can.CanOperationError("Failed to transmit: No buffer space available", errno.ENOBUFS)
@@ -522,7 +530,7 @@ def test_frame_waits_for_room_in_an_interface_whose_queue_is_full(
         send(message, timeout)
 
     monkeypatch.setattr(bus, "send", send_when_there_is_room)
-    Link(bus, CODEC).send("PARAMETER_GET", 0)
+    Link(bus, CODEC).send("PARAMETER_GET", 0, 0, 0)
     assert bus.times_sent("PARAMETER_GET") == 1
 
 
@@ -532,7 +540,7 @@ def test_interface_that_stays_full_is_an_error(bus: DisturbedBus, monkeypatch: p
 
     monkeypatch.setattr(bus, "send", never)
     with pytest.raises(OmnibotError, match=r"cannot send on .*: Failed to transmit: No buffer space available"):
-        Link(bus, CODEC, timeout_s=0.05).send("PARAMETER_GET", 0)
+        Link(bus, CODEC, timeout_s=0.05).send("PARAMETER_GET", 0, 0, 0)
 
 
 # Record -------------------------------------------------------------------------------------------------------------

@@ -73,7 +73,7 @@ def test_loop_with_a_firmware_that_does_not_track_ends_as_over_the_bus() -> None
     over_bus, without = both(Scenario(CORNER), stop_first=True)
 
     assert over_bus.status is Status.FAULT
-    assert "mode IDLE" in over_bus.reason
+    assert "STOPPING" in over_bus.reason
     assert (without.status, without.reason) == (over_bus.status, over_bus.reason)
     assert compare(over_bus.trace, without.trace) == []
 

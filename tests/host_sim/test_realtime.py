@@ -28,6 +28,10 @@ PATH = PathRequest("rhombus", 0.5, "rounded", 2.0, 0.6, 0.3)
 TICKS = 601
 
 
+# What SYNC carries at tick 0 of a drive: 50 of the warm-up, one before START and one after.
+FIRST_SYNC = 52
+
+
 class ClockedBus(InprocBus):
     """A bus in a time that passes only while somebody waits: the firmware's timer goes on through the wait.
 
@@ -50,7 +54,7 @@ class ClockedBus(InprocBus):
         self._collect(self.now_s)
         if msg.arbitration_id == 64:
             tick = int.from_bytes(msg.data[:4], "little")
-            self.pass_time(self.stalls.pop(tick, 0.0) if tick else 0.0)
+            self.pass_time(self.stalls.pop(tick - FIRST_SYNC, 0.0))
 
     def pass_time(self, time_s: float) -> None:
         until_s = self.now_s + time_s

@@ -74,7 +74,7 @@ def test_fault_ends_in_a_new_start_that_tells_where_it_was(what: str, tmp_path: 
         tick(link, 0)
         assert frames_of(frames, "CRASH") == []
 
-        link.send("PARAMETER_GET", 0)
+        link.send("PARAMETER_GET", 0, 0, 0)
         board._wait_for_firmware()  # it has closed its channel, as out of any reset
         del frames[:]
         link.hello()
@@ -101,7 +101,7 @@ def test_fault_is_forgotten_by_the_run_after_the_next(tmp_path: Path) -> None:
         link = Link(board, CODEC, timeout_s=10.0)
         link.hello()
         for _ in range(2):  # each crash is one of its own
-            link.send("PARAMETER_GET", 0)
+            link.send("PARAMETER_GET", 0, 0, 0)
             with pytest.raises(OmnibotError, match="no PARAMETER_VALUE"):
                 link._wait_for("PARAMETER_VALUE", 0.2)
             board._wait_for_firmware()

@@ -19,7 +19,7 @@ PLANTED = {
         "if (!mode_drives(app->mode)) {\n        return output;\n    }",
         "if (app->store.segment_count == 0) {\n        return output;\n    }",
         "app",
-        "zero unless TRACKING",
+        "zero unless TRACKING or STOPPING",
     ),
     "no torque bound": (
         "firmware/control/control.c",
@@ -33,7 +33,7 @@ PLANTED = {
         "app->port.drive == DRIVE_MOTORS && mode_drives(app->mode)",
         "app->port.drive == DRIVE_MOTORS && app->mode != MODE_IDLE",
         "app",
-        "bridges on in MOTORS while TRACKING",
+        "bridges on in MOTORS while TRACKING or STOPPING",
     ),
     "the torque of the drive before": (
         "firmware/app/app.c",
@@ -44,10 +44,10 @@ PLANTED = {
     ),
     "a fault that STOP clears": (
         "firmware/app/mode.c",
-        "[EVENT_STOP] = MODE_FAULT",
-        "[EVENT_STOP] = MODE_IDLE",
+        "[MODE_FAULT] = {[EVENT_CLEAR] = TO(MODE_IDLE)}",
+        "[MODE_FAULT] = {[EVENT_CLEAR] = TO(MODE_IDLE), [EVENT_STOP] = TO(MODE_IDLE)}",
         "app",
-        "a fault in FAULT and nowhere else",
+        "a fault in FAULT and STOPPING and nowhere else",
     ),
     "no fault of stale wheel speeds": (
         "firmware/app/pace.c",
@@ -65,10 +65,8 @@ PLANTED = {
     ),
     "an upload while driving": (
         "firmware/app/app.c",
-        "mode_drives(app->mode) ? refused_in_motion\n"
-        "                                                        : store_begin(",
-        "!app->peer_matches ? refused_in_motion\n"
-        "                                                        : store_begin(",
+        "mode_is_safe(app->mode) ? store_begin(",
+        "app->peer_matches ? store_begin(",
         "app",
         "TRAJECTORY_ACK",
     ),

@@ -55,9 +55,15 @@ def test_a_tick_costs_more_than_its_step(result: dict[str, Any]) -> None:
 
 
 def test_ticks_out_of_the_ordinary_are_told_apart(result: dict[str, Any]) -> None:
-    kinds = ("tick without a step", "tick after missed ones", "tick with a fault", "tick by the timer, own motors")
+    kinds = (
+        "tick without a step",
+        "tick after missed ones",
+        "tick with a fault",
+        "tick while braking",
+        "tick by the timer, own motors",
+    )
     assert set(result["other_ticks"]) == set(kinds)
-    without, after_missed, _, by_timer = (result["other_ticks"][kind] for kind in kinds)
+    without, after_missed, _, _, by_timer = (result["other_ticks"][kind] for kind in kinds)
     by_order = result["steps"]["tick"]["by_order"]
     assert without["cycles_max"] < 0.7 * min(by_order[order]["cycles_max"] for order in ORDERS)
     assert after_missed["cycles_max"] > result["steps"]["tick"]["cycles_max"]  # it makes up for the missed ones

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from step_cost.corpus import AFTER_GAP, FAULT, IDLE_TICK, NODE, SEED, SETUP, TICK, Wire, sessions
+from step_cost.corpus import AFTER_GAP, BRAKING, FAULT, IDLE_TICK, NODE, SEED, SETUP, TICK, Wire, sessions
 from step_cost.equality import DifferenceError, Equality, Host
 from step_cost.image import Image
 from step_cost.layout import layouts
@@ -50,7 +50,11 @@ def host_built(folder: Path, library: str, *flags: str, planted: tuple[str, str,
     sources = [folder / f"{name}.c" for name in (*CONTROL, "robot_constants")]
     if library == "libomnibot.so":
         sources += [*(firmware / "app").glob("*.c"), firmware / "ports" / "posix" / "inproc.c"]
-        sources += [ROOT / "protocol" / "crc.c", generated / "messages.c", generated / "parameter_table.c"]
+        sources += [
+            ROOT / "protocol" / "crc.c",
+            generated / "messages.c",
+            *(generated / f"{table}_table.c" for table in ("parameter", "fault")),
+        ]
     includes = [f"-I{place}" for place in (folder, firmware / "app", ROOT / "protocol", generated)]
     command = ["cc", "-std=c11", "-O2", "-g", "-fPIC", "-shared", "-ffp-contract=off", "-fno-math-errno"]
     subprocess.run([*command, *flags, *includes, *map(str, sources), "-lm", "-o", str(folder / library)], check=True)
@@ -107,7 +111,7 @@ def test_other_robot_constants_are_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize("order", ["0", "observer"])
 def test_groups_of_the_corpus_are_what_they_are_called(order: str) -> None:
     torque = Wire().codec["TORQUE"]
-    expected = {TICK: ["TRACKING"], AFTER_GAP: ["TRACKING"], FAULT: ["FAULT"], SETUP: []}
+    expected = {TICK: ["TRACKING"], AFTER_GAP: ["TRACKING"], FAULT: ["FAULT"], BRAKING: ["STOPPING"], SETUP: []}
     seen = set()
     for session in sessions((order,)):
         host = Host(HOST / "libomnibot.so")
@@ -118,7 +122,7 @@ def test_groups_of_the_corpus_are_what_they_are_called(order: str) -> None:
             modes = [torque.label("mode", answer["mode"]) for answer in answers]
             assert group.kind == IDLE_TICK or modes == expected[group.kind], (session.name, number)
             seen.add(group.kind)
-    assert seen == {TICK, AFTER_GAP, FAULT, IDLE_TICK, SETUP}
+    assert seen == {TICK, AFTER_GAP, FAULT, BRAKING, IDLE_TICK, SETUP}
 
 
 def test_bounds_act_and_do_not_in_the_corpus() -> None:

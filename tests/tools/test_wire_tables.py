@@ -18,6 +18,8 @@ from host_sim.inproc import LIBRARY_FILE, InprocBus
 ROOT = Path(__file__).parents[2]
 TOOL = ROOT / "tools" / "generate_wire_tables.py"
 README = ROOT / "protocol" / "README.md"
+DBC = ROOT / "protocol" / "omnibot.dbc"
+FAULTS = ROOT / "firmware" / "app" / "faults.toml"
 DATABASE = cantools.database.load_file(DBC_FILE)
 CODEC = Codec()
 
@@ -98,6 +100,40 @@ def test_every_identifier_of_the_readme_is_the_definitions() -> None:
     assert rows == sorted(rows)  # the order of priority
 
 
+# Faults ---------------------------------------------------------------------------------------------------------------
+
+
+def generate_faults(*words: str | Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, ROOT / "tools" / "generate_faults.py", *words]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+def test_fault_table_of_the_readme_is_that_of_the_faults() -> None:
+    done = generate_faults(FAULTS, DBC, README, "--check")
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_changed_fault_makes_the_readmes_table_stale(tmp_path: Path) -> None:
+    changed = tmp_path / "faults.toml"
+    changed.write_text(FAULTS.read_text(encoding="utf-8").replace("ticks = 501", "ticks = 502"), encoding="utf-8")
+    assert "its table is not that of the faults" in generate_faults(changed, DBC, README, "--check").stderr
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ('name = "OVERRUN"', 'name = "OVERRAN"', "the faults must be those of STATUS.fault"),
+        ('reaction = "cut"', 'reaction = "sulk"', "reaction 'sulk' must be one of brake, cut"),
+    ],
+)
+def test_faults_that_are_not_the_wires_are_refused(tmp_path: Path, old: str, new: str, says: str) -> None:
+    changed = tmp_path / "faults.toml"
+    changed.write_text(FAULTS.read_text(encoding="utf-8").replace(old, new, 1), encoding="utf-8")
+    done = generate_faults(changed, DBC, tmp_path)
+    assert done.returncode == 1
+    assert says in done.stderr
+
+
 # Examples -----------------------------------------------------------------------------------------------------------
 
 
@@ -146,7 +182,11 @@ def test_session_of_the_readme_is_what_the_firmware_says() -> None:
 
 
 def test_crc_example_of_the_readme_is_right() -> None:
-    frame = re.search(r"the frame is 040#([0-9A-F]{12})", README.read_text(encoding="utf-8"))
+    frame = re.search(r"the frame is 040#([0-9A-F]{14})", README.read_text(encoding="utf-8"))
     assert frame
 
-    assert CODEC["SYNC"].named(bytes.fromhex(frame[1])) == {"tick": 0x12345678, "counter": 8}
+    assert CODEC["SYNC"].named(bytes.fromhex(frame[1])) == {
+        "tick": 0x12345678,
+        "pose_crc": 0x9A,
+        "wheel_speed_crc": 0xBC,
+    }

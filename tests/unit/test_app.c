@@ -3,6 +3,8 @@
 // test_messages.c holds against the definition; trajectory bytes and their CRC are made here.
 #include "app.h"
 
+#include "crc.h"
+#include "faults.h"
 #include "messages.h"
 #include "unity.h"
 
@@ -14,12 +16,23 @@ static const app_port_t lockstep_only = {.drives = 1u << DRIVE_LOCKSTEP, .drive 
 
 static app_t app;
 static uint8_t upload[UPLOAD_BYTES];
+static uint8_t requests; // sent: their counter
+static uint16_t key;     // of the last CHALLENGE
+
+static uint32_t host_tick; // of the last timer_tick
+
+/// Sensor frames that go out with the next SYNC.
+static struct {
+    bool has_pose, has_wheel_speed;
+    vec3_t pose, wheel_speed;
+} sensors;
 
 /// What came out since the last look.
 static struct {
-    frame_t frame[OUTBOX_FRAMES];
+    frame_t frame[OUTBOX_FRAMES + 1]; // a STATUS that was owed comes on top
     int count;
-    int torques, slips, statuses, acks, values, identities, timings, healths, crashes;
+    int torques, slips, statuses, acks, values, texts, stores, identities, timings, healths, crashes;
+    int drop_reports, records, challenges;
     frame_t torque_frame, slip_frame;
     torque_message_t torque;
     slip_message_t slip;
@@ -30,6 +43,11 @@ static struct {
     timing_message_t timing;
     health_message_t health;
     crash_message_t crash;
+    drops_message_t drops;
+    fault_record_message_t record;
+    challenge_message_t challenge;
+    parameter_text_message_t text;
+    parameter_store_message_t store;
 } got;
 
 static void note(const frame_t *frame)
@@ -74,6 +92,27 @@ static void note(const frame_t *frame)
         got.crashes++;
         TEST_ASSERT_EQUAL(DECODE_OK, crash_decode(&got.crash, frame));
         break;
+    case DROPS_FUNCTION:
+        got.drop_reports++;
+        TEST_ASSERT_EQUAL(DECODE_OK, drops_decode(&got.drops, frame));
+        break;
+    case FAULT_RECORD_FUNCTION:
+        got.records++;
+        TEST_ASSERT_EQUAL(DECODE_OK, fault_record_decode(&got.record, frame));
+        break;
+    case CHALLENGE_FUNCTION:
+        got.challenges++;
+        TEST_ASSERT_EQUAL(DECODE_OK, challenge_decode(&got.challenge, frame));
+        key = got.challenge.key;
+        break;
+    case PARAMETER_TEXT_FUNCTION:
+        got.texts++;
+        TEST_ASSERT_EQUAL(DECODE_OK, parameter_text_decode(&got.text, frame));
+        break;
+    case PARAMETER_STORE_FUNCTION:
+        got.stores++;
+        TEST_ASSERT_EQUAL(DECODE_OK, parameter_store_decode(&got.store, frame));
+        break;
     default:
         TEST_FAIL_MESSAGE("a frame that the robot does not send");
     }
@@ -85,7 +124,7 @@ static void look(void)
     memset(&got, 0, sizeof got);
     frame_t frame;
     while (app_transmit(&app, &frame)) {
-        TEST_ASSERT_LESS_THAN(OUTBOX_FRAMES, got.count);
+        TEST_ASSERT_LESS_THAN(OUTBOX_FRAMES + 1, got.count);
         got.frame[got.count++] = frame;
         note(&frame);
     }
@@ -101,39 +140,100 @@ static void hello(uint32_t hash)
     look();
 }
 
-static void command(uint8_t operation)
+static uint8_t next_request(void)
+{
+    requests = (uint8_t)((requests + 1) & 0xFu);
+    return requests;
+}
+
+static void send_command(command_message_t message)
 {
     frame_t frame;
-    command_encode(&frame, NODE, &(command_message_t){.operation = operation});
+    command_encode(&frame, NODE, &message);
     app_receive(&app, &frame);
     look();
 }
 
+/// START is sent with the key of the last CHALLENGE.
+static void command(uint8_t operation)
+{
+    send_command((command_message_t){.operation = operation, .counter = next_request(), .key = key});
+}
+
+static void start(void)
+{
+    command(OPERATION_ARM);
+    command(OPERATION_START);
+}
+
 static void pose(float x1, float x2, float heading)
 {
-    frame_t frame;
-    pose_encode(&frame, NODE, &(pose_message_t){x1, x2, heading, 0});
-    app_receive(&app, &frame);
+    sensors.has_pose = true;
+    sensors.pose = (vec3_t){x1, x2, heading};
 }
 
 static void wheel_speed(float wheel1, float wheel2, float wheel3)
 {
+    sensors.has_wheel_speed = true;
+    sensors.wheel_speed = (vec3_t){wheel1, wheel2, wheel3};
+}
+
+/// Gives a sensor frame to the robot; returns what SYNC must say of it.
+static uint8_t receive_sensor(const frame_t *frame)
+{
+    app_receive(&app, frame);
+    return crc8_frame(frame, frame->length);
+}
+
+static uint8_t send_pose(uint32_t number)
+{
+    const vec3_t p = sensors.pose;
     frame_t frame;
-    wheel_speed_encode(&frame, NODE, &(wheel_speed_message_t){wheel1, wheel2, wheel3, 0});
+    pose_encode(&frame, NODE, &(pose_message_t){p.x, p.y, p.z, (uint8_t)(number & 0xFu)});
+    return receive_sensor(&frame);
+}
+
+static uint8_t send_wheel_speed(uint32_t number)
+{
+    const vec3_t w = sensors.wheel_speed;
+    frame_t frame;
+    wheel_speed_encode(&frame, NODE, &(wheel_speed_message_t){w.x, w.y, w.z, (uint8_t)(number & 0xFu)});
+    return receive_sensor(&frame);
+}
+
+static void send_sync(sync_message_t sync)
+{
+    frame_t frame;
+    sync_encode(&frame, NODE, &sync);
     app_receive(&app, &frame);
 }
 
-static void sync_only(uint32_t tick)
+/// The sensor frames of a tick and its SYNC.
+static void sync_only(uint32_t number)
 {
-    frame_t frame;
-    sync_encode(&frame, NODE, &(sync_message_t){tick, (uint8_t)(tick & 0xFu)});
-    app_receive(&app, &frame);
+    sync_message_t sync = {.tick = number};
+    sync.pose_crc = sensors.has_pose ? send_pose(number) : 0;
+    sync.wheel_speed_crc = sensors.has_wheel_speed ? send_wheel_speed(number) : 0;
+    memset(&sensors, 0, sizeof sensors);
+    send_sync(sync);
 }
 
 static void sync(uint32_t tick)
 {
     sync_only(tick);
     look();
+}
+
+enum { TICK_FRAMES = 3 };
+
+/// The frames of a tick, for whoever takes them: the robot 1 cm behind the trajectory's start.
+static void make_tick_frames(uint32_t number, frame_t frame[TICK_FRAMES])
+{
+    const uint8_t counter = (uint8_t)(number & 0xFu);
+    pose_encode(&frame[0], NODE, &(pose_message_t){-0.01f, 0.0f, 0.0f, counter});
+    wheel_speed_encode(&frame[1], NODE, &(wheel_speed_message_t){.counter = counter});
+    const sync_message_t sync = {number, crc8_frame(&frame[0], 8), crc8_frame(&frame[1], 8)};
+    sync_encode(&frame[2], NODE, &sync);
 }
 
 /// A whole tick: the robot 1 cm behind the trajectory's start.
@@ -147,7 +247,8 @@ static void tick(uint32_t number)
 static void set_parameter(uint8_t index, float value)
 {
     frame_t frame;
-    parameter_set_encode(&frame, NODE, &(parameter_set_message_t){.index = index, .value = value});
+    const parameter_set_message_t set = {.index = index, .value = value, .counter = next_request()};
+    parameter_set_encode(&frame, NODE, &set);
     app_receive(&app, &frame);
     look();
 }
@@ -155,7 +256,7 @@ static void set_parameter(uint8_t index, float value)
 static void get_parameter(uint8_t index)
 {
     frame_t frame;
-    parameter_get_encode(&frame, NODE, &(parameter_get_message_t){index});
+    parameter_get_encode(&frame, NODE, &(parameter_get_message_t){.index = index});
     app_receive(&app, &frame);
     look();
 }
@@ -205,7 +306,8 @@ static void make_upload(void)
 static void begin_upload(uint32_t crc32)
 {
     frame_t frame;
-    trajectory_begin_encode(&frame, NODE, &(trajectory_begin_message_t){UPLOAD_BYTES, crc32});
+    const trajectory_begin_message_t begin = {UPLOAD_BYTES, crc32, next_request()};
+    trajectory_begin_encode(&frame, NODE, &begin);
     app_receive(&app, &frame);
     look();
 }
@@ -243,7 +345,7 @@ static void make_ready(void)
 static void make_tracking(void)
 {
     make_ready();
-    command(OPERATION_START);
+    start();
     TEST_ASSERT_EQUAL_UINT8(MODE_TRACKING, got.status.mode);
 }
 
@@ -286,6 +388,32 @@ static void assert_fault(uint8_t cause)
     TEST_ASSERT_EQUAL_UINT8(MODE_FAULT, got.status.mode);
     TEST_ASSERT_EQUAL_UINT8(cause, got.status.fault);
     TEST_ASSERT_EQUAL_UINT16(1u << cause, got.status.fault_mask);
+}
+
+/// On its way to a stop, by a cause, and said so.
+static void assert_brakes(uint8_t cause)
+{
+    TEST_ASSERT_EQUAL(1, got.torques);
+    TEST_ASSERT_EQUAL_UINT8(MODE_STOPPING, got.torque.mode);
+    TEST_ASSERT_EQUAL(1, got.statuses);
+    TEST_ASSERT_EQUAL_UINT8(MODE_STOPPING, got.status.mode);
+    TEST_ASSERT_EQUAL_UINT8(cause, got.status.fault);
+    TEST_ASSERT_EQUAL_UINT16(1u << cause, got.status.fault_mask);
+}
+
+enum { REST_TICKS_MAX = 2600 }; // 2 s of braking at most, 0.5 s at rest, and the STATUS between
+
+/// Ticks with all sensors until the robot no longer brakes; returns the one that ended it.
+static uint32_t come_to_rest(uint32_t next_tick)
+{
+    for (uint32_t k = next_tick; k < next_tick + REST_TICKS_MAX; k++) {
+        tick(k);
+        if (got.torque.mode != MODE_STOPPING) {
+            return k;
+        }
+    }
+    TEST_FAIL_MESSAGE("still STOPPING");
+    return 0;
 }
 
 static void assert_still_tracking(void)
@@ -331,7 +459,7 @@ static void test_init_over_an_old_instance_forgets_everything(void)
 
     app_init(&app, &omnibot, NODE, lockstep_only);
     look();
-    command(OPERATION_START);
+    command(OPERATION_ARM);
 
     TEST_ASSERT_EQUAL_UINT8(MODE_IDLE, got.status.mode);
     TEST_ASSERT_EQUAL_UINT8(FAULT_NONE, got.status.fault);
@@ -344,7 +472,10 @@ static void test_hello_with_our_hash_is_answered_by_a_matching_identity(void)
 {
     hello(PROTOCOL_HASH);
 
-    TEST_ASSERT_EQUAL(1, got.count);
+    TEST_ASSERT_EQUAL(2, got.count);
+    TEST_ASSERT_EQUAL(1, got.stores);
+    TEST_ASSERT_EQUAL_UINT8(PARAMETER_COUNT, got.store.count);
+    TEST_ASSERT_EQUAL_UINT8(ORIGIN_NO_MEMORY, got.store.origin);
     TEST_ASSERT_EQUAL(1, got.identities);
     TEST_ASSERT_EQUAL_HEX32(PROTOCOL_HASH, got.identity.protocol_hash);
     TEST_ASSERT_EQUAL_UINT8(1, got.identity.peer_matches);
@@ -366,7 +497,7 @@ static void test_hello_with_another_hash_is_answered_by_ours_and_no_match(void)
 
 static void assert_start_refused(uint8_t refusal, uint8_t mode)
 {
-    command(OPERATION_START);
+    command(OPERATION_ARM);
     TEST_ASSERT_EQUAL(1, got.count);
     TEST_ASSERT_EQUAL(1, got.statuses);
     TEST_ASSERT_EQUAL_UINT8(refusal, got.status.refusal);
@@ -423,7 +554,7 @@ static void test_start_in_fault_is_refused_wrong_mode(void)
 static void test_start_when_ready_tracks(void)
 {
     make_ready();
-    command(OPERATION_START);
+    start();
 
     TEST_ASSERT_EQUAL_UINT8(MODE_TRACKING, got.status.mode);
     TEST_ASSERT_EQUAL_UINT8(REFUSAL_NONE, got.status.refusal);
@@ -449,10 +580,10 @@ static void test_command_of_any_kind_is_answered_by_one_status_alone(void)
 static void test_start_taken_after_a_refusal_no_longer_shows_it_in_any_status(void)
 {
     hello(PROTOCOL_HASH);
-    command(OPERATION_START); // refused: no trajectory
+    start(); // refused: no trajectory
     upload_trajectory();
 
-    command(OPERATION_START);
+    start();
 
     TEST_ASSERT_GREATER_THAN(0, got.count);
     for (int i = 0; i < got.count; i++) {
@@ -467,7 +598,7 @@ static void test_start_takes_any_tick_number_as_the_first(void)
 {
     make_ready();
     tick(5000);
-    command(OPERATION_START);
+    start();
 
     tick(7);
     assert_still_tracking();
@@ -483,7 +614,7 @@ static void test_start_between_two_syncs_of_one_tick_steps_it_anew(void)
     make_ready();
     tick(50);
     assert_no_torque();
-    command(OPERATION_START);
+    start();
 
     tick(50);
 
@@ -495,9 +626,10 @@ static void test_start_after_stop_begins_the_trajectory_again(void)
     make_moving();
     tick(1001);
     command(OPERATION_STOP);
-    command(OPERATION_START);
+    const uint32_t last = come_to_rest(1002);
+    start();
 
-    tick(1002);
+    tick(last + 1);
 
     assert_still_tracking();
     assert_cursor(0, 0);
@@ -505,7 +637,7 @@ static void test_start_after_stop_begins_the_trajectory_again(void)
 
 static void test_unknown_operations_are_refused(void)
 {
-    static const uint8_t unknown[] = {OPERATION_NONE, 7, 8, 100, 255};
+    static const uint8_t unknown[] = {OPERATION_NONE, 10, 100, 255};
     make_moving();
     for (size_t i = 0; i < sizeof unknown / sizeof unknown[0]; i++) {
         command(unknown[i]);
@@ -522,12 +654,20 @@ static void test_sync_in_every_mode_is_answered_by_one_torque_and_one_slip(void)
 {
     for (int mode = MODE_IDLE; mode <= MODE_FAULT; mode++) {
         setUp();
-        if (mode == MODE_TRACKING) {
+        if (mode == MODE_TRACKING || mode == MODE_STOPPING) {
             make_moving();
         } else if (mode == MODE_FAULT) {
             make_faulty();
+        } else if (mode == MODE_ARMED) {
+            make_ready();
+            command(OPERATION_ARM);
         }
-        for (uint32_t k = 1001; k < 1050; k++) {
+        if (mode == MODE_STOPPING) {
+            command(OPERATION_STOP);
+        }
+        tick(1001); // in FAULT each with a FAULT_RECORD: two causes
+        tick(1002);
+        for (uint32_t k = 1003; k < 1050; k++) {
             tick(k);
 
             TEST_ASSERT_EQUAL(2, got.count);
@@ -628,17 +768,30 @@ static void test_sync_repeated_gets_the_same_bytes_and_no_second_step(void)
     TEST_ASSERT_EQUAL_UINT16(0, app.missed_ticks);
 }
 
-static void test_sync_repeated_after_stop_gives_no_torque(void)
+static void test_sync_repeated_after_a_fault_gives_no_torque(void)
 {
+    app_init(&app, &omnibot, NODE, lockstep_only);
+    look();
     make_moving();
     assert_pushes_ahead();
-    command(OPERATION_STOP);
+    hello(PROTOCOL_HASH); // a new host: the robot lets go
 
     sync(1000);
 
     assert_no_torque();
     TEST_ASSERT_EQUAL_UINT8(MODE_IDLE, got.torque.mode);
     TEST_ASSERT_EQUAL_UINT8(1000 & 0xF, got.torque.counter);
+}
+
+static void test_sync_repeated_after_stop_gives_the_same_bytes(void)
+{
+    make_moving();
+    const frame_t torque = got.torque_frame;
+    command(OPERATION_STOP);
+
+    sync(1000);
+
+    TEST_ASSERT_EQUAL_HEX8_ARRAY(torque.data, got.torque_frame.data, 8);
 }
 
 static void test_sync_repeated_in_fault_gives_the_same_bytes(void)
@@ -652,18 +805,29 @@ static void test_sync_repeated_in_fault_gives_the_same_bytes(void)
     assert_no_torque();
 }
 
-static void test_sync_going_back_while_tracking_returns_to_idle_without_torque(void)
+static void test_sync_going_back_while_tracking_is_a_replay_and_not_answered(void)
 {
     make_moving();
 
     tick(999);
 
-    assert_no_torque();
-    TEST_ASSERT_EQUAL_UINT8(MODE_IDLE, got.torque.mode);
-    TEST_ASSERT_EQUAL_UINT8(MODE_IDLE, got.status.mode);
-    TEST_ASSERT_EQUAL_UINT8(FAULT_NONE, got.status.fault);
+    TEST_ASSERT_EQUAL(0, got.count);
+    TEST_ASSERT_EQUAL_UINT16(1, app.drops.replayed);
+    tick(1001);
+    assert_still_tracking();
+    assert_cursor(0, 1000);
+}
+
+static void test_sync_going_back_in_idle_is_a_host_that_begins_anew(void)
+{
+    make_ready();
     tick(1000);
+
+    tick(3);
+
     assert_no_torque();
+    TEST_ASSERT_EQUAL_UINT8(3, got.torque.counter);
+    TEST_ASSERT_EQUAL_UINT16(0, app.drops.replayed);
 }
 
 static void test_sync_going_back_in_fault_stays_in_fault(void)
@@ -686,16 +850,16 @@ static void test_sync_at_the_largest_tick_is_a_tick_like_any_other(void)
     assert_cursor(0, 1000);
 }
 
-static void test_sync_wrapping_to_zero_counts_as_going_back_and_stops(void)
+static void test_sync_wrapping_to_zero_goes_on(void)
 {
-    // 49.7 days at 1 kHz: the host has to start anew before. It ends in IDLE without torque, not in a jump.
+    // After 49.7 days at 1 kHz.
     make_tracking();
     tick(UINT32_MAX);
 
     tick(0);
 
-    assert_no_torque();
-    TEST_ASSERT_EQUAL_UINT8(MODE_IDLE, got.torque.mode);
+    assert_still_tracking();
+    assert_cursor(0, 1000);
     TEST_ASSERT_EQUAL_UINT16(0, app.missed_ticks);
 }
 
@@ -751,7 +915,7 @@ static void test_gap_of_the_largest_size_is_a_fault_and_its_count_saturates(void
     make_tracking();
     tick(0);
 
-    tick(UINT32_MAX);
+    tick(INT32_MAX);
 
     assert_fault(FAULT_TICK_GAP);
     TEST_ASSERT_EQUAL_UINT16(UINT16_MAX, app.missed_ticks);
@@ -776,7 +940,8 @@ static void test_gaps_add_up_and_start_forgets_them(void)
 
     command(OPERATION_STOP);
     TEST_ASSERT_EQUAL_UINT16(4, got.status.missed_ticks);
-    command(OPERATION_START);
+    (void)come_to_rest(1007);
+    start();
 
     TEST_ASSERT_EQUAL_UINT16(0, got.status.missed_ticks);
 }
@@ -801,27 +966,27 @@ static void test_pose_missing_until_its_timeout_is_borne_and_then_a_fault(void)
     wheel_speed(0.0f, 0.0f, 0.0f);
     sync(1501);
 
-    assert_fault(FAULT_STALE_POSE);
+    assert_brakes(FAULT_STALE_POSE);
 }
 
 static void test_pose_timeout_may_be_set(void)
 {
     make_ready();
     set_parameter(PARAMETER_POSE_TIMEOUT_S, 0.02f);
-    command(OPERATION_START);
+    start();
     tick(1000);
     drive_without_pose(20, 0.0f);
     wheel_speed(0.0f, 0.0f, 0.0f);
     sync(1021);
 
-    assert_fault(FAULT_STALE_POSE);
+    assert_brakes(FAULT_STALE_POSE);
 }
 
 static void test_pose_timeout_of_zero_is_a_fault_at_the_first_tick_without_a_pose(void)
 {
     make_ready();
     set_parameter(PARAMETER_POSE_TIMEOUT_S, 0.0f);
-    command(OPERATION_START);
+    start();
     tick(1000);
     assert_still_tracking();
     tick(1001);
@@ -829,14 +994,14 @@ static void test_pose_timeout_of_zero_is_a_fault_at_the_first_tick_without_a_pos
     wheel_speed(0.0f, 0.0f, 0.0f);
     sync(1002);
 
-    assert_fault(FAULT_STALE_POSE);
+    assert_brakes(FAULT_STALE_POSE);
 }
 
 static void test_pose_missing_is_dead_reckoned_from_the_wheels(void)
 {
     make_ready();
     set_parameter(PARAMETER_ORDER, 0.0f);
-    command(OPERATION_START);
+    start();
     tick(1000);
     drive_without_pose(200, 0.5f);
 
@@ -869,8 +1034,9 @@ static void test_start_forgets_the_state_of_the_last_drive(void)
     tick(1001);
     TEST_ASSERT_GREATER_THAN_FLOAT(0.01f, vec3_max_abs(app.state.force_estimate_N));
     command(OPERATION_STOP);
+    (void)come_to_rest(1002);
 
-    command(OPERATION_START);
+    start();
 
     TEST_ASSERT_FLOAT_WITHIN(0.0f, 0.0f, vec3_max_abs(app.state.force_estimate_N));
 }
@@ -880,12 +1046,11 @@ static void test_start_does_not_drive_on_what_was_read_before_it(void)
     make_moving();
     tick(1001);
     command(OPERATION_STOP);
-    pose(0.0f, 0.0f, 0.0f);
-    wheel_speed(0.0f, 0.0f, 0.0f);
+    const uint32_t last = come_to_rest(1002);
 
-    command(OPERATION_START);
+    start();
     wheel_speed(0.0f, 0.0f, 0.0f);
-    sync(1002);
+    sync(last + 1);
 
     assert_fault(FAULT_STALE_POSE);
 }
@@ -936,12 +1101,12 @@ static void test_ticks_lost_in_a_gap_make_sensor_data_older(void)
 {
     make_ready();
     set_parameter(PARAMETER_POSE_TIMEOUT_S, 0.005f);
-    command(OPERATION_START);
+    start();
     tick(1000);
     wheel_speed(0.0f, 0.0f, 0.0f);
     sync(1006); // the pose is six ticks old
 
-    assert_fault(FAULT_STALE_POSE);
+    assert_brakes(FAULT_STALE_POSE);
 
     setUp();
     make_moving();
@@ -978,26 +1143,32 @@ static void test_pose_from_long_before_start_is_a_fault(void)
         wheel_speed(0.0f, 0.0f, 0.0f);
         sync(k);
     }
-    command(OPERATION_START);
+    start();
     wheel_speed(0.0f, 0.0f, 0.0f);
     sync(650);
 
     assert_fault(FAULT_STALE_POSE);
 }
 
-static void test_sensor_value_not_available_is_a_fault(void)
+static void test_sensor_value_not_available_is_no_reading(void)
 {
     for (int i = 0; i < 6; i++) {
         setUp();
         make_moving();
-        pose(i == 0 ? NAN : 0.0f, i == 1 ? NAN : 0.0f, i == 2 ? NAN : 0.0f);
-        wheel_speed(i == 3 ? NAN : 0.0f, i == 4 ? NAN : 0.0f, i == 5 ? NAN : 0.0f);
-        sync(1001);
-
-        assert_fault(FAULT_NOT_FINITE);
-        TEST_ASSERT_FLOAT_WITHIN(0.0f, 0.0f, got.slip.mu1_m_per_s);
-        TEST_ASSERT_FLOAT_WITHIN(0.0f, 0.0f, got.slip.mu2_m_per_s);
-        TEST_ASSERT_FLOAT_WITHIN(0.0f, 0.0f, got.slip.mu3_m_per_s);
+        for (uint32_t k = 1; k <= 5; k++) {
+            pose(i == 0 ? NAN : -0.01f, i == 1 ? NAN : 0.0f, i == 2 ? NAN : 0.0f);
+            wheel_speed(i == 3 ? NAN : 0.0f, i == 4 ? NAN : 0.0f, i == 5 ? NAN : 0.0f);
+            sync(1000 + k);
+            assert_still_tracking();
+        }
+        pose(-0.01f, 0.0f, 0.0f);
+        wheel_speed(NAN, NAN, NAN);
+        sync(1006);
+        if (i < 3) {
+            assert_still_tracking(); // the wheel speeds are one tick old
+        } else {
+            assert_fault(FAULT_STALE_WHEEL_SPEED);
+        }
     }
 }
 
@@ -1015,7 +1186,7 @@ static void test_fault_keeps_the_first_cause_and_collects_the_others(void)
 {
     make_ready();
     set_parameter(PARAMETER_POSE_TIMEOUT_S, 0.005f);
-    command(OPERATION_START);
+    start();
     tick(1000);
     for (uint32_t k = 1; k <= 6; k++) {
         sync(1000 + k); // both sensors missing
@@ -1037,7 +1208,7 @@ static void test_fault_outlives_good_data_stop_and_start(void)
     }
     command(OPERATION_STOP);
     TEST_ASSERT_EQUAL_UINT8(MODE_FAULT, got.status.mode);
-    command(OPERATION_START);
+    start();
     TEST_ASSERT_EQUAL_UINT8(MODE_FAULT, got.status.mode);
     TEST_ASSERT_EQUAL_UINT8(FAULT_STALE_POSE, got.status.fault);
 }
@@ -1060,7 +1231,7 @@ static void test_clear_keeps_the_trajectory_and_start_drives_again(void)
 {
     make_faulty();
     command(OPERATION_CLEAR);
-    command(OPERATION_START);
+    start();
 
     tick(1001);
 
@@ -1078,15 +1249,380 @@ static void test_clear_while_tracking_goes_on_tracking(void)
     assert_still_tracking();
 }
 
-static void test_stop_while_tracking_is_idle_without_torque(void)
+static void test_stop_while_tracking_brakes_and_ends_in_idle_without_torque(void)
 {
     make_moving();
 
     command(OPERATION_STOP);
-    TEST_ASSERT_EQUAL_UINT8(MODE_IDLE, got.status.mode);
-
+    TEST_ASSERT_EQUAL_UINT8(MODE_STOPPING, got.status.mode);
     tick(1001);
+    assert_pushes_ahead();
+    TEST_ASSERT_EQUAL_UINT8(MODE_STOPPING, got.torque.mode);
+
+    const uint32_t last = come_to_rest(1002);
+    TEST_ASSERT_EQUAL_UINT8(MODE_IDLE, got.status.mode);
     assert_no_torque();
+    // 0.5 m/s at 1.5 m/s² take a third of a second, the trajectory's 60 ms or not; then half a second at rest.
+    TEST_ASSERT_UINT32_WITHIN(400, 1500, last);
+}
+
+static void make_motors_run(void);
+
+// ---- arming
+
+static void test_start_with_a_wrong_key_disarms(void)
+{
+    make_ready();
+    command(OPERATION_ARM);
+    TEST_ASSERT_EQUAL(1, got.challenges);
+    TEST_ASSERT_EQUAL_UINT8(MODE_ARMED, got.status.mode);
+
+    key ^= 1u;
+    command(OPERATION_START);
+
+    TEST_ASSERT_EQUAL_UINT8(REFUSAL_WRONG_KEY, got.status.refusal);
+    TEST_ASSERT_EQUAL_UINT8(MODE_IDLE, got.status.mode);
+    key ^= 1u;
+    command(OPERATION_START); // the right one is of no use any more
+    TEST_ASSERT_EQUAL_UINT8(REFUSAL_WRONG_MODE, got.status.refusal);
+}
+
+static void test_no_single_command_starts_motion(void)
+{
+    make_ready();
+    for (uint32_t operation = 0; operation < 256; operation++) {
+        for (uint32_t bits = 0; bits < 65536; bits += 257) {
+            key = (uint16_t)bits;
+            command((uint8_t)operation);
+            TEST_ASSERT_FALSE(app.mode == MODE_TRACKING || app.mode == MODE_STOPPING);
+            command(OPERATION_STOP); // an ARM among them stays alone
+        }
+    }
+}
+
+static void test_start_of_an_earlier_arming_is_refused(void)
+{
+    make_moving();
+    const uint16_t earlier = key;
+    command(OPERATION_STOP);
+    (void)come_to_rest(1001);
+
+    command(OPERATION_ARM);
+    TEST_ASSERT_NOT_EQUAL(earlier, key);
+    key = earlier;
+    command(OPERATION_START);
+
+    TEST_ASSERT_EQUAL_UINT8(REFUSAL_WRONG_KEY, got.status.refusal);
+}
+
+static void test_key_is_another_for_what_was_stirred_in(void)
+{
+    make_ready();
+    app_stir(&app, 0x12345678u);
+    command(OPERATION_ARM);
+    const uint16_t stirred = key;
+
+    setUp();
+    make_ready();
+    command(OPERATION_ARM);
+
+    TEST_ASSERT_NOT_EQUAL(stirred, key);
+}
+
+static void test_key_lapses_after_its_ticks(void)
+{
+    make_ready();
+    tick(1);
+    command(OPERATION_ARM);
+    TEST_ASSERT_EQUAL_UINT16(APP_KEY_TICKS, got.challenge.ticks);
+    tick(APP_KEY_TICKS);
+    TEST_ASSERT_EQUAL_UINT8(MODE_ARMED, app.mode);
+
+    tick(1 + APP_KEY_TICKS);
+
+    TEST_ASSERT_EQUAL_UINT8(MODE_IDLE, got.status.mode);
+    command(OPERATION_START);
+    TEST_ASSERT_EQUAL_UINT8(REFUSAL_WRONG_MODE, got.status.refusal);
+}
+
+static void test_armed_robot_takes_neither_parameters_nor_a_trajectory(void)
+{
+    make_ready();
+    command(OPERATION_ARM);
+
+    set_parameter(PARAMETER_ORDER, 0.0f);
+    TEST_ASSERT_EQUAL_UINT8(PARAMETER_VALUE_RESULT_IN_MOTION, got.value.result);
+    begin_upload(0);
+    TEST_ASSERT_EQUAL_UINT8(TRAJECTORY_ACK_RESULT_IN_MOTION, got.ack.result);
+}
+
+// ---- requests that repeat
+
+static void test_command_repeated_is_a_replay(void)
+{
+    make_ready();
+    send_command((command_message_t){.operation = OPERATION_ARM, .counter = next_request()});
+    TEST_ASSERT_EQUAL(1, got.statuses);
+
+    send_command((command_message_t){.operation = OPERATION_ARM, .counter = requests});
+
+    TEST_ASSERT_EQUAL(0, got.count);
+    TEST_ASSERT_EQUAL_UINT16(1, app.drops.replayed);
+}
+
+static void test_command_after_two_lost_ones_is_taken_and_after_three_not(void)
+{
+    make_ready();
+    requests = (uint8_t)(requests + 2);
+    command(OPERATION_NONE);
+    TEST_ASSERT_EQUAL(1, got.statuses);
+
+    requests = (uint8_t)(requests + 3);
+    command(OPERATION_NONE);
+    TEST_ASSERT_EQUAL(0, got.statuses);
+    TEST_ASSERT_EQUAL_UINT16(1, app.drops.replayed);
+
+    hello(PROTOCOL_HASH); // a session begins
+    command(OPERATION_NONE);
+    TEST_ASSERT_EQUAL(1, got.statuses);
+}
+
+static void test_stop_is_obeyed_whatever_its_counter(void)
+{
+    make_moving();
+
+    send_command((command_message_t){.operation = OPERATION_STOP, .counter = requests});
+
+    TEST_ASSERT_EQUAL_UINT8(MODE_STOPPING, got.status.mode);
+    TEST_ASSERT_EQUAL_UINT16(1, app.drops.replayed);
+}
+
+static void test_parameter_set_and_trajectory_begin_repeated_are_replays(void)
+{
+    make_ready();
+    set_parameter(PARAMETER_ORDER, 1.0f);
+    requests = (uint8_t)(requests - 1);
+    set_parameter(PARAMETER_ORDER, 2.0f);
+    TEST_ASSERT_EQUAL(0, got.count);
+    TEST_ASSERT_FLOAT_WITHIN(0.0f, 1.0f, app.parameters.value[PARAMETER_ORDER]);
+
+    requests = (uint8_t)(requests - 1);
+    begin_upload(0);
+    TEST_ASSERT_EQUAL(0, got.count);
+    TEST_ASSERT_EQUAL_UINT16(SEGMENTS, app.store.segment_count);
+    TEST_ASSERT_EQUAL_UINT16(2, app.drops.replayed);
+}
+
+// ---- sensor frames that are not vouched for
+
+static void send_late_sensors(uint32_t number)
+{
+    pose(1.0f, 1.0f, 1.0f);
+    wheel_speed(9.0f, 9.0f, 9.0f);
+    (void)send_pose(number);
+    (void)send_wheel_speed(number);
+    memset(&sensors, 0, sizeof sensors);
+}
+
+static void test_sensor_frames_of_the_tick_before_do_not_replace_those_of_this_one(void)
+{
+    make_moving();
+    pose(-0.01f, 0.0f, 0.0f);
+    wheel_speed(0.0f, 0.0f, 0.0f);
+    sync_message_t sync_of_tick = {.tick = 1001};
+    sync_of_tick.pose_crc = send_pose(1001);
+    sync_of_tick.wheel_speed_crc = send_wheel_speed(1001);
+    send_late_sensors(1000);
+    send_sync(sync_of_tick);
+    look();
+
+    assert_still_tracking();
+    TEST_ASSERT_EQUAL_UINT32(0, app.pose.age_ticks);
+    TEST_ASSERT_FLOAT_WITHIN(0.0f, 0.0f, app.wheel_speed.value.x);
+    TEST_ASSERT_EQUAL_UINT16(2, app.drops.replayed);
+}
+
+static void test_sensor_frames_of_another_tick_are_not_taken(void)
+{
+    make_moving();
+    send_late_sensors(1005);
+    sync(1001);
+
+    TEST_ASSERT_EQUAL_UINT16(2, app.drops.replayed);
+    TEST_ASSERT_EQUAL_UINT32(1, app.pose.age_ticks);
+    TEST_ASSERT_FLOAT_WITHIN(0.0f, 0.0f, app.wheel_speed.value.x);
+}
+
+static void test_sensor_frame_with_any_bit_flipped_is_not_taken(void)
+{
+    for (uint32_t bit = 0; bit < 64; bit++) {
+        setUp();
+        make_moving();
+        frame_t frame[TICK_FRAMES];
+        make_tick_frames(1001, frame);
+        frame[0].data[bit / 8] ^= (uint8_t)(1u << bit % 8);
+        frame[1].data[bit / 8] ^= (uint8_t)(1u << bit % 8);
+        for (int i = 0; i < TICK_FRAMES; i++) {
+            app_receive(&app, &frame[i]);
+        }
+        look();
+
+        const uint16_t drops =
+            (uint16_t)(app.drops.damaged + app.drops.replayed); // in the counter they are of another tick
+        TEST_ASSERT_EQUAL_UINT16(2, drops);
+        TEST_ASSERT_EQUAL_UINT32(1, app.pose.age_ticks);
+        TEST_ASSERT_EQUAL_UINT32(1, app.wheel_speed.age_ticks);
+    }
+}
+
+static void test_frames_under_the_robots_own_identifiers_are_counted(void)
+{
+    make_moving();
+    frame_t frame;
+    torque_encode(&frame, NODE, &(torque_message_t){.mode = MODE_IDLE});
+    app_receive(&app, &frame);
+    status_encode(&frame, NODE, &(status_message_t){0});
+    app_receive(&app, &frame);
+
+    TEST_ASSERT_EQUAL_UINT16(2, app.drops.masqueraded);
+    tick(1001);
+    assert_still_tracking();
+    for (uint32_t k = 1002; k <= 1050; k++) {
+        tick(k);
+    }
+    TEST_ASSERT_EQUAL(1, got.drop_reports);
+    TEST_ASSERT_EQUAL_UINT16(2, got.drops.masqueraded);
+}
+
+// ---- faults: reaction, record and count
+
+static void test_fault_is_recorded_with_its_tick_reaction_and_count(void)
+{
+    for (uint16_t times = 1; times <= 3; times++) {
+        make_moving();
+        for (uint32_t k = 1001; k <= 1006; k++) {
+            pose(-0.01f, 0.0f, 0.0f);
+            sync(k);
+        }
+        TEST_ASSERT_EQUAL(0, got.records);
+        tick(1007);
+        TEST_ASSERT_EQUAL(1, got.records);
+        TEST_ASSERT_EQUAL_UINT8(FAULT_STALE_WHEEL_SPEED, got.record.fault);
+        TEST_ASSERT_EQUAL_UINT8(REACTION_CUT, got.record.reaction);
+        TEST_ASSERT_EQUAL_UINT16(times, got.record.count);
+        TEST_ASSERT_EQUAL_UINT32(1006, got.record.tick);
+        for (uint32_t k = 1008; k <= 1051; k++) {
+            tick(k);
+            TEST_ASSERT_EQUAL(k == 1051 ? 1 : 0, got.records); // again while it is latched
+        }
+        command(OPERATION_CLEAR);
+    }
+}
+
+static void test_error_beyond_its_limit_cuts_the_torque(void)
+{
+    make_moving();
+    pose(-1.99f, 0.0f, 0.0f);
+    wheel_speed(0.0f, 0.0f, 0.0f);
+    sync(1001);
+    assert_still_tracking();
+    pose(-2.01f, 0.0f, 0.0f);
+    wheel_speed(0.0f, 0.0f, 0.0f);
+    sync(1002);
+    assert_fault(FAULT_ERROR_LIMIT);
+}
+
+static void test_bus_off_while_driving_brakes(void)
+{
+    make_motors_run();
+    app_note_health(&app, &(app_health_t){.can_state = CAN_STATE_ACTIVE});
+    TEST_ASSERT_EQUAL_UINT8(MODE_TRACKING, app.mode);
+    app_note_health(&app, &(app_health_t){.can_state = CAN_STATE_BUS_OFF});
+    look();
+    TEST_ASSERT_EQUAL_UINT8(MODE_STOPPING, got.status.mode);
+    TEST_ASSERT_EQUAL_UINT8(FAULT_BUS_OFF, got.status.fault);
+}
+
+static void test_bus_off_of_a_robot_at_rest_is_no_fault(void)
+{
+    app_note_health(&app, &(app_health_t){.can_state = CAN_STATE_BUS_OFF});
+    TEST_ASSERT_EQUAL_UINT8(FAULT_NONE, app.fault);
+}
+
+static void test_braking_robot_with_a_fault_that_cuts_lets_go(void)
+{
+    make_moving();
+    command(OPERATION_STOP);
+    for (uint32_t k = 1001; k <= 1006; k++) {
+        pose(-0.01f, 0.0f, 0.0f);
+        sync(k);
+    }
+    assert_fault(FAULT_STALE_WHEEL_SPEED);
+}
+
+static void test_fault_while_armed_ends_in_fault_and_not_in_motion(void)
+{
+    make_ready();
+    command(OPERATION_ARM);
+    faults_raise(&app, FAULT_HOST_SILENT);
+    look();
+    TEST_ASSERT_EQUAL_UINT8(MODE_FAULT, got.status.mode);
+    command(OPERATION_START);
+    TEST_ASSERT_EQUAL_UINT8(REFUSAL_WRONG_MODE, got.status.refusal);
+}
+
+static void test_clear_while_braking_is_refused(void)
+{
+    make_moving();
+    command(OPERATION_STOP);
+    command(OPERATION_CLEAR);
+    TEST_ASSERT_EQUAL_UINT8(REFUSAL_WRONG_MODE, got.status.refusal);
+    TEST_ASSERT_EQUAL_UINT8(MODE_STOPPING, got.status.mode);
+}
+
+static void test_hello_in_lockstep_ends_motion_and_elsewhere_not(void)
+{
+    make_moving();
+    hello(PROTOCOL_HASH);
+    TEST_ASSERT_EQUAL_UINT8(MODE_IDLE, app.mode);
+
+    make_motors_run();
+    hello(PROTOCOL_HASH);
+    TEST_ASSERT_EQUAL_UINT8(MODE_TRACKING, app.mode);
+}
+
+static void test_hello_of_another_protocol_does_not_end_motion(void)
+{
+    make_moving();
+    hello(PROTOCOL_HASH ^ 1u);
+    TEST_ASSERT_EQUAL_UINT8(MODE_TRACKING, app.mode);
+}
+
+static void test_status_that_found_no_room_is_sent_when_there_is_some(void)
+{
+    make_moving();
+    for (uint32_t k = 1001; k <= 1008; k++) {
+        sync_only(k); // fills the outbox, and the fault comes with the sixth
+    }
+    TEST_ASSERT_EQUAL_UINT8(MODE_FAULT, app.mode);
+    for (uint32_t k = 1009; k <= 1020; k++) {
+        sync_only(k);
+    }
+    command(OPERATION_NONE); // its STATUS finds none
+    TEST_ASSERT_EQUAL(OUTBOX_FRAMES + 1, got.count);
+    TEST_ASSERT_EQUAL_UINT8(MODE_FAULT, got.status.mode);
+    TEST_ASSERT_EQUAL_UINT8(FAULT_STALE_WHEEL_SPEED, got.status.fault);
+    TEST_ASSERT_FALSE(app.status_owed);
+}
+
+static void test_wheel_speed_that_no_wheel_has_is_none(void)
+{
+    make_motors_run();
+    app_set_wheel_speed(&app, (vec3_t){1.0e32f, 0.0f, 0.0f});
+    app_tick(&app);
+    look();
+    TEST_ASSERT_EQUAL_UINT8(MODE_TRACKING, app.mode);
+    TEST_ASSERT_EQUAL_UINT32(1, app.wheel_speed.age_ticks);
 }
 
 // ---- frames that are not for us, or damaged
@@ -1099,7 +1635,7 @@ static void test_frames_of_other_nodes_are_ignored(void)
             frame_t frame;
             command_encode(&frame, node, &(command_message_t){.operation = OPERATION_STOP});
             app_receive(&app, &frame);
-            sync_encode(&frame, node, &(sync_message_t){2000, 0});
+            sync_encode(&frame, node, &(sync_message_t){.tick = 2000});
             app_receive(&app, &frame);
             pose_encode(&frame, node, &(pose_message_t){5.0f, 5.0f, 1.0f, 0});
             app_receive(&app, &frame);
@@ -1109,7 +1645,7 @@ static void test_frames_of_other_nodes_are_ignored(void)
     }
     look();
     TEST_ASSERT_EQUAL(0, got.count);
-    TEST_ASSERT_EQUAL_UINT16(0, app.dropped_frames);
+    TEST_ASSERT_EQUAL_UINT16(0, app.drops.damaged);
 
     tick(1001);
     assert_still_tracking();
@@ -1130,7 +1666,7 @@ static void test_frames_of_functions_that_the_robot_does_not_take_are_ignored(vo
     }
     look();
     TEST_ASSERT_EQUAL(0, got.count);
-    TEST_ASSERT_EQUAL_UINT16(0, app.dropped_frames);
+    TEST_ASSERT_EQUAL_UINT16(0, app.drops.damaged);
 }
 
 static void test_frames_of_a_wrong_length_are_counted_and_do_nothing(void)
@@ -1142,9 +1678,9 @@ static void test_frames_of_a_wrong_length_are_counted_and_do_nothing(void)
         const frame_t frame = {.id = (uint16_t)(taken[i] << FRAME_NODE_BITS | NODE), .length = 0};
         app_receive(&app, &frame);
 
-        TEST_ASSERT_EQUAL_UINT16(i + 1, app.dropped_frames);
+        TEST_ASSERT_EQUAL_UINT16(i + 1, app.drops.damaged);
     }
-    app.dropped_frames = 0;
+    app.drops = before.drops;
     TEST_ASSERT_EQUAL_MEMORY(&before, &app, sizeof app);
 }
 
@@ -1153,7 +1689,7 @@ static void test_frames_with_a_wrong_crc_are_counted_and_do_nothing(void)
     make_moving();
     const app_t before = app;
     frame_t frame;
-    sync_encode(&frame, NODE, &(sync_message_t){1001, 9});
+    sync_encode(&frame, NODE, &(sync_message_t){.tick = 1001});
     frame.data[0] ^= 0x40; // another tick
     app_receive(&app, &frame);
     command_encode(&frame, NODE, &(command_message_t){.operation = OPERATION_CLEAR});
@@ -1163,8 +1699,8 @@ static void test_frames_with_a_wrong_crc_are_counted_and_do_nothing(void)
     frame.data[4] ^= 0x80;
     app_receive(&app, &frame);
 
-    TEST_ASSERT_EQUAL_UINT16(3, app.dropped_frames);
-    app.dropped_frames = 0;
+    TEST_ASSERT_EQUAL_UINT16(3, app.drops.damaged);
+    app.drops = before.drops;
     TEST_ASSERT_EQUAL_MEMORY(&before, &app, sizeof app);
 }
 
@@ -1175,7 +1711,7 @@ static void test_count_of_damaged_frames_stops_at_its_largest_value(void)
         app_receive(&app, &frame);
     }
 
-    TEST_ASSERT_EQUAL_UINT16(UINT16_MAX, app.dropped_frames);
+    TEST_ASSERT_EQUAL_UINT16(UINT16_MAX, app.drops.damaged);
     command(OPERATION_STOP);
     TEST_ASSERT_EQUAL_UINT16(UINT16_MAX, got.status.dropped_frames);
 }
@@ -1314,7 +1850,7 @@ static void test_upload_in_fault_is_taken(void)
     make_faulty();
     upload_trajectory();
     command(OPERATION_CLEAR);
-    command(OPERATION_START);
+    start();
     TEST_ASSERT_EQUAL_UINT8(MODE_TRACKING, got.status.mode);
 }
 
@@ -1328,7 +1864,7 @@ static void test_outbox_full_counts_what_is_lost_and_keeps_the_first(void)
     look();
 
     TEST_ASSERT_EQUAL(OUTBOX_FRAMES, got.count);
-    TEST_ASSERT_EQUAL_UINT16(2 * 20 - OUTBOX_FRAMES, app.dropped_frames);
+    TEST_ASSERT_EQUAL_UINT16(2 * 20 - OUTBOX_FRAMES, app.drops.unsent);
     for (uint8_t i = 0; i < OUTBOX_FRAMES; i++) {
         torque_message_t torque;
         if (i % 2 == 0) {
@@ -1347,8 +1883,8 @@ static void test_outbox_keeps_the_order_over_its_end(void)
         sync_only(2 * k + 1);
         look();
 
-        const int before = k == 50 ? 1 : 0; // STATUS at tick 100 comes after its answers
-        TEST_ASSERT_EQUAL(4 + before, got.count);
+        const int others = k == 25 || k == 50 ? 1 : 0; // DROPS at tick 50, STATUS at tick 100, after their answers
+        TEST_ASSERT_EQUAL(4 + others, got.count);
         TEST_ASSERT_EQUAL_UINT16(TORQUE_FUNCTION << FRAME_NODE_BITS | NODE, got.frame[0].id);
         TEST_ASSERT_EQUAL_UINT16(SLIP_FUNCTION << FRAME_NODE_BITS | NODE, got.frame[1].id);
         TEST_ASSERT_EQUAL_UINT8((2 * k + 1) & 0xFu, got.torque.counter);
@@ -1375,21 +1911,18 @@ static void test_two_instances_on_one_bus_are_independent(void)
 
     // Every frame reaches both.
     for (uint32_t k = 1; k <= 20; k++) {
-        pose_encode(&frame, NODE, &(pose_message_t){-0.01f, 0.0f, 0.0f, 0});
-        app_receive(&app, &frame);
-        app_receive(&other, &frame);
-        wheel_speed_encode(&frame, NODE, &(wheel_speed_message_t){0});
-        app_receive(&app, &frame);
-        app_receive(&other, &frame);
-        sync_encode(&frame, NODE, &(sync_message_t){1000 + k, 0});
-        app_receive(&app, &frame);
-        app_receive(&other, &frame);
+        frame_t of_tick[TICK_FRAMES];
+        make_tick_frames(1000 + k, of_tick);
+        for (int i = 0; i < TICK_FRAMES; i++) {
+            app_receive(&app, &of_tick[i]);
+            app_receive(&other, &of_tick[i]);
+        }
         look();
         assert_still_tracking();
     }
     TEST_ASSERT_EQUAL_MEMORY(&untouched, &other, sizeof other);
 
-    sync_encode(&frame, NODE + 1, &(sync_message_t){5, 0});
+    sync_encode(&frame, NODE + 1, &(sync_message_t){.tick = 5});
     app_receive(&app, &frame);
     app_receive(&other, &frame);
     look();
@@ -1409,13 +1942,11 @@ static void test_two_instances_with_the_same_frames_give_the_same_bytes(void)
     for (uint32_t k = 1; k <= 100; k++) {
         tick(1000 + k);
         const frame_t torque = got.torque_frame;
-        frame_t frame;
-        pose_encode(&frame, NODE, &(pose_message_t){-0.01f, 0.0f, 0.0f, 0});
-        app_receive(&other, &frame);
-        wheel_speed_encode(&frame, NODE, &(wheel_speed_message_t){0});
-        app_receive(&other, &frame);
-        sync_encode(&frame, NODE, &(sync_message_t){1000 + k, 0});
-        app_receive(&other, &frame);
+        frame_t frame, of_tick[TICK_FRAMES];
+        make_tick_frames(1000 + k, of_tick);
+        for (int i = 0; i < TICK_FRAMES; i++) {
+            app_receive(&other, &of_tick[i]);
+        }
         TEST_ASSERT_TRUE(app_transmit(&other, &frame));
         TEST_ASSERT_EQUAL_HEX8_ARRAY(torque.data, frame.data, 8);
         while (app_transmit(&other, &frame)) {
@@ -1435,7 +1966,8 @@ static void timer_tick(void)
 {
     pose(-0.01f, 0.0f, 0.0f);
     wheel_speed(0.0f, 0.0f, 0.0f);
-    sync_only(77);
+    sync_only(++host_tick);
+    app_set_wheel_speed(&app, (vec3_t){0}); // where it has encoders
     app_tick(&app);
     look();
 }
@@ -1448,7 +1980,7 @@ static void make_realtime(void)
     command(OPERATION_USE_REALTIME);
     make_ready();
     timer_tick();
-    command(OPERATION_START);
+    start();
     TEST_ASSERT_EQUAL_UINT8(MODE_TRACKING, got.status.mode);
     timer_tick();
     assert_pushes_ahead();
@@ -1462,7 +1994,7 @@ static void make_motors_run(void)
     make_ready();
     app_set_wheel_speed(&app, (vec3_t){0});
     timer_tick();
-    command(OPERATION_START);
+    start();
     app_set_wheel_speed(&app, (vec3_t){0});
     timer_tick();
     assert_pushes_ahead();
@@ -1611,28 +2143,34 @@ static void test_one_overrun_too_long_is_a_fault(void)
     assert_fault(FAULT_OVERRUN);
 }
 
+/// A period by the timer with wheel speeds that stand, and nothing from the host.
+static void timer_tick_alone(void)
+{
+    app_set_wheel_speed(&app, (vec3_t){0});
+    app_tick(&app);
+    look();
+}
+
 static void test_host_silent_for_more_than_a_tenth_of_a_second_is_a_fault(void)
 {
     make_motors_run();
     for (int i = 1; i < APP_HEARTBEAT_TICKS_MAX; i++) {
-        app_set_wheel_speed(&app, (vec3_t){0});
-        app_tick(&app);
-        look();
+        timer_tick_alone();
         assert_still_tracking();
     }
-    app_set_wheel_speed(&app, (vec3_t){0});
-    app_tick(&app);
-    look();
+    timer_tick_alone();
 
-    assert_no_torque();
-    TEST_ASSERT_EQUAL_UINT8(MODE_FAULT, got.torque.mode);
+    TEST_ASSERT_EQUAL_UINT8(MODE_STOPPING, got.torque.mode);
     TEST_ASSERT_EQUAL_UINT8(FAULT_HOST_SILENT, got.status.fault);
-    app_tick(&app);
-    look();
+    for (int i = 0; i < REST_TICKS_MAX && app.mode == MODE_STOPPING; i++) {
+        timer_tick_alone();
+    }
+    TEST_ASSERT_EQUAL_UINT8(MODE_FAULT, app.mode);
+    timer_tick_alone();
     TEST_ASSERT_EQUAL(0, got.torques); // there is nobody to tell
 }
 
-static void test_motors_get_the_torque_of_the_last_step_while_tracking_only(void)
+static void test_motors_get_the_torque_of_the_last_step_while_driving_only(void)
 {
     vec3_t torque;
     make_motors_run();
@@ -1642,7 +2180,12 @@ static void test_motors_get_the_torque_of_the_last_step_while_tracking_only(void
     TEST_ASSERT_FLOAT_WITHIN(1.0e-5f, got.torque.wheel3_Nm, torque.z);
 
     command(OPERATION_STOP);
+    TEST_ASSERT_TRUE(app_motor_torque(&app, &torque));
+    for (int i = 0; i < REST_TICKS_MAX && app.mode == MODE_STOPPING; i++) {
+        timer_tick();
+    }
 
+    TEST_ASSERT_EQUAL_UINT8(MODE_IDLE, app.mode);
     TEST_ASSERT_FALSE(app_motor_torque(&app, &torque));
     TEST_ASSERT_FLOAT_WITHIN(0.0f, 0.0f, vec3_max_abs(torque));
 }
@@ -1681,9 +2224,12 @@ static void test_motors_get_no_torque_of_the_drive_before_after_start(void)
     vec3_t torque;
     make_motors_run();
     command(OPERATION_STOP);
+    for (int i = 0; i < REST_TICKS_MAX && app.mode == MODE_STOPPING; i++) {
+        timer_tick();
+    }
     set_parameter(PARAMETER_TORQUE_BOUND_NM, 0.001f);
 
-    command(OPERATION_START);
+    start();
 
     TEST_ASSERT_EQUAL_UINT8(MODE_TRACKING, got.status.mode);
     (void)app_motor_torque(&app, &torque);
@@ -1703,7 +2249,10 @@ static void test_wheel_speeds_of_the_bus_are_not_taken_by_a_robot_with_motors(vo
 {
     make_motors_run();
     for (int i = 0; i < 6; i++) {
-        timer_tick(); // brings wheel speeds by the bus alone
+        wheel_speed(0.0f, 0.0f, 0.0f); // by the bus alone
+        sync_only(++host_tick);
+        app_tick(&app);
+        look();
     }
     TEST_ASSERT_EQUAL_UINT8(MODE_FAULT, got.torque.mode);
     TEST_ASSERT_EQUAL_UINT8(FAULT_STALE_WHEEL_SPEED, app.fault);
@@ -1811,12 +2360,14 @@ int main(void)
     RUN_TEST(test_sync_while_tracking_gives_the_torque_of_the_control_step);
     RUN_TEST(test_sync_steps_walk_over_the_joints_and_rest_at_the_end);
     RUN_TEST(test_sync_repeated_gets_the_same_bytes_and_no_second_step);
-    RUN_TEST(test_sync_repeated_after_stop_gives_no_torque);
+    RUN_TEST(test_sync_repeated_after_a_fault_gives_no_torque);
+    RUN_TEST(test_sync_repeated_after_stop_gives_the_same_bytes);
     RUN_TEST(test_sync_repeated_in_fault_gives_the_same_bytes);
-    RUN_TEST(test_sync_going_back_while_tracking_returns_to_idle_without_torque);
+    RUN_TEST(test_sync_going_back_while_tracking_is_a_replay_and_not_answered);
+    RUN_TEST(test_sync_going_back_in_idle_is_a_host_that_begins_anew);
     RUN_TEST(test_sync_going_back_in_fault_stays_in_fault);
     RUN_TEST(test_sync_at_the_largest_tick_is_a_tick_like_any_other);
-    RUN_TEST(test_sync_wrapping_to_zero_counts_as_going_back_and_stops);
+    RUN_TEST(test_sync_wrapping_to_zero_goes_on);
     RUN_TEST(test_status_comes_every_hundredth_tick);
     RUN_TEST(test_gap_small_moves_the_trajectory_by_it_and_is_counted);
     RUN_TEST(test_gap_as_long_as_allowed_is_no_fault);
@@ -1838,14 +2389,39 @@ int main(void)
     RUN_TEST(test_pose_that_never_came_is_a_fault);
     RUN_TEST(test_wheel_speed_that_never_came_is_a_fault);
     RUN_TEST(test_pose_from_long_before_start_is_a_fault);
-    RUN_TEST(test_sensor_value_not_available_is_a_fault);
+    RUN_TEST(test_sensor_value_not_available_is_no_reading);
     RUN_TEST(test_sensor_value_not_available_in_idle_is_no_fault);
     RUN_TEST(test_fault_keeps_the_first_cause_and_collects_the_others);
     RUN_TEST(test_fault_outlives_good_data_stop_and_start);
     RUN_TEST(test_clear_returns_from_fault_to_idle_without_causes);
     RUN_TEST(test_clear_keeps_the_trajectory_and_start_drives_again);
     RUN_TEST(test_clear_while_tracking_goes_on_tracking);
-    RUN_TEST(test_stop_while_tracking_is_idle_without_torque);
+    RUN_TEST(test_stop_while_tracking_brakes_and_ends_in_idle_without_torque);
+    RUN_TEST(test_start_with_a_wrong_key_disarms);
+    RUN_TEST(test_no_single_command_starts_motion);
+    RUN_TEST(test_start_of_an_earlier_arming_is_refused);
+    RUN_TEST(test_key_is_another_for_what_was_stirred_in);
+    RUN_TEST(test_key_lapses_after_its_ticks);
+    RUN_TEST(test_armed_robot_takes_neither_parameters_nor_a_trajectory);
+    RUN_TEST(test_command_repeated_is_a_replay);
+    RUN_TEST(test_command_after_two_lost_ones_is_taken_and_after_three_not);
+    RUN_TEST(test_stop_is_obeyed_whatever_its_counter);
+    RUN_TEST(test_parameter_set_and_trajectory_begin_repeated_are_replays);
+    RUN_TEST(test_sensor_frames_of_the_tick_before_do_not_replace_those_of_this_one);
+    RUN_TEST(test_sensor_frames_of_another_tick_are_not_taken);
+    RUN_TEST(test_sensor_frame_with_any_bit_flipped_is_not_taken);
+    RUN_TEST(test_frames_under_the_robots_own_identifiers_are_counted);
+    RUN_TEST(test_fault_is_recorded_with_its_tick_reaction_and_count);
+    RUN_TEST(test_error_beyond_its_limit_cuts_the_torque);
+    RUN_TEST(test_bus_off_while_driving_brakes);
+    RUN_TEST(test_bus_off_of_a_robot_at_rest_is_no_fault);
+    RUN_TEST(test_braking_robot_with_a_fault_that_cuts_lets_go);
+    RUN_TEST(test_fault_while_armed_ends_in_fault_and_not_in_motion);
+    RUN_TEST(test_clear_while_braking_is_refused);
+    RUN_TEST(test_hello_in_lockstep_ends_motion_and_elsewhere_not);
+    RUN_TEST(test_hello_of_another_protocol_does_not_end_motion);
+    RUN_TEST(test_status_that_found_no_room_is_sent_when_there_is_some);
+    RUN_TEST(test_wheel_speed_that_no_wheel_has_is_none);
     RUN_TEST(test_frames_of_other_nodes_are_ignored);
     RUN_TEST(test_frames_of_functions_that_the_robot_does_not_take_are_ignored);
     RUN_TEST(test_frames_of_a_wrong_length_are_counted_and_do_nothing);
@@ -1880,7 +2456,7 @@ int main(void)
     RUN_TEST(test_a_run_of_overruns_is_a_fault);
     RUN_TEST(test_one_overrun_too_long_is_a_fault);
     RUN_TEST(test_host_silent_for_more_than_a_tenth_of_a_second_is_a_fault);
-    RUN_TEST(test_motors_get_the_torque_of_the_last_step_while_tracking_only);
+    RUN_TEST(test_motors_get_the_torque_of_the_last_step_while_driving_only);
     RUN_TEST(test_motors_that_cannot_give_the_torque_are_a_fault);
     RUN_TEST(test_motors_that_nobody_drives_are_no_fault);
     RUN_TEST(test_motors_get_no_torque_of_the_drive_before_after_start);

@@ -259,9 +259,14 @@ DECODER(sync)
 DECODER(torque)
 DECODER(slip)
 DECODER(status)
+DECODER(drops)
+DECODER(fault_record)
+DECODER(challenge)
 DECODER(parameter_set)
 DECODER(parameter_get)
 DECODER(parameter_value)
+DECODER(parameter_text)
+DECODER(parameter_store)
 DECODER(trajectory_begin)
 DECODER(trajectory_data)
 DECODER(trajectory_ack)
@@ -275,17 +280,22 @@ static const struct {
     void (*encode)(frame_t *frame, uint8_t node);
     decode_result_t (*decode)(const frame_t *frame, bool *untouched);
 } messages[] = {
-    {16, 3, true, encode_command, decode_command},
+    {16, 5, true, encode_command, decode_command},
     {32, 8, false, encode_pose, decode_pose},
     {48, 8, false, encode_wheel_speed, decode_wheel_speed},
-    {64, 6, true, encode_sync, decode_sync},
+    {64, 7, true, encode_sync, decode_sync},
     {80, 8, true, encode_torque, decode_torque},
     {96, 8, false, encode_slip, decode_slip},
     {256, 8, false, encode_status, decode_status},
+    {320, 8, false, encode_drops, decode_drops},
+    {336, 8, false, encode_fault_record, decode_fault_record},
+    {352, 4, false, encode_challenge, decode_challenge},
     {512, 7, true, encode_parameter_set, decode_parameter_set},
-    {528, 1, false, encode_parameter_get, decode_parameter_get},
+    {528, 2, false, encode_parameter_get, decode_parameter_get},
     {544, 6, false, encode_parameter_value, decode_parameter_value},
-    {768, 6, false, encode_trajectory_begin, decode_trajectory_begin},
+    {560, 8, false, encode_parameter_text, decode_parameter_text},
+    {576, 3, false, encode_parameter_store, decode_parameter_store},
+    {768, 8, true, encode_trajectory_begin, decode_trajectory_begin},
     {784, 8, false, encode_trajectory_data, decode_trajectory_data},
     {800, 3, false, encode_trajectory_ack, decode_trajectory_ack},
     {1024, 4, false, encode_hello, decode_hello},
@@ -357,7 +367,7 @@ static void test_decode_with_any_single_bit_flipped_is_refused(void)
             checked++;
         }
     }
-    TEST_ASSERT_EQUAL(8 * (3 + 6 + 8 + 7), checked);
+    TEST_ASSERT_EQUAL(8 * (5 + 7 + 8 + 7 + 8), checked);
 }
 
 static void test_decode_with_any_two_bits_flipped_is_refused(void)
@@ -422,7 +432,7 @@ static void test_command_round_trip(void)
 {
     for (uint32_t operation = 0; operation < 256; operation++) {
         for (uint8_t counter = 0; counter < 16; counter++) {
-            const command_message_t sent = {(uint8_t)operation, counter};
+            const command_message_t sent = {(uint8_t)operation, counter, (uint16_t)(operation * 257u ^ 0x1234u)};
             frame_t frame;
             command_message_t got;
 
@@ -432,7 +442,9 @@ static void test_command_round_trip(void)
             TEST_ASSERT_EQUAL_UINT8(operation, got.operation);
             TEST_ASSERT_EQUAL_UINT8(counter, got.counter);
             TEST_ASSERT_EQUAL_UINT32(operation, bits_of(&frame, 0, 8));
+            TEST_ASSERT_EQUAL_UINT16(sent.key, got.key);
             TEST_ASSERT_EQUAL_UINT32(counter, bits_of(&frame, 8, 4));
+            TEST_ASSERT_EQUAL_UINT32(sent.key, bits_of(&frame, 16, 16));
         }
     }
 }
@@ -488,7 +500,7 @@ static void test_sync_round_trip(void)
 {
     static const uint32_t tick[] = {0u, 1u, 0x7FFFFFFFu, 0x80000000u, 0x12345678u, UINT32_MAX};
     for (size_t i = 0; i < sizeof tick / sizeof tick[0]; i++) {
-        const sync_message_t sent = {tick[i], 9};
+        const sync_message_t sent = {tick[i], 0xA5, 0x3C};
         frame_t frame;
         sync_message_t got;
 
@@ -496,7 +508,10 @@ static void test_sync_round_trip(void)
 
         TEST_ASSERT_EQUAL(DECODE_OK, sync_decode(&got, &frame));
         TEST_ASSERT_EQUAL_UINT32(tick[i], got.tick);
-        TEST_ASSERT_EQUAL_UINT8(9, got.counter);
+        TEST_ASSERT_EQUAL_HEX8(0xA5, got.pose_crc);
+        TEST_ASSERT_EQUAL_HEX8(0x3C, got.wheel_speed_crc);
+        TEST_ASSERT_EQUAL_UINT32(0xA5, bits_of(&frame, 32, 8));
+        TEST_ASSERT_EQUAL_UINT32(0x3C, bits_of(&frame, 40, 8));
         TEST_ASSERT_EQUAL_UINT32(tick[i], bits_of(&frame, 0, 32));
     }
 }
@@ -580,16 +595,20 @@ static void test_parameter_get_round_trip(void)
     for (uint32_t index = 0; index < 256; index++) {
         frame_t frame;
         parameter_get_message_t got;
-        parameter_get_encode(&frame, NODE, &(parameter_get_message_t){(uint8_t)index});
+        parameter_get_encode(&frame, NODE,
+                             &(parameter_get_message_t){(uint8_t)index, index & 0xFu, (uint8_t)(index >> 4)});
         TEST_ASSERT_EQUAL(DECODE_OK, parameter_get_decode(&got, &frame));
         TEST_ASSERT_EQUAL_UINT8(index, got.index);
+        TEST_ASSERT_EQUAL_UINT8(index & 0xFu, got.field);
+        TEST_ASSERT_EQUAL_UINT8(index >> 4, got.part);
     }
 }
 
 static void test_parameter_value_round_trip_keeps_every_bit(void)
 {
     for (int i = 0; i < ANY_FLOATS; i++) {
-        const parameter_value_message_t sent = {(uint8_t)(255 - i), PARAMETER_VALUE_RESULT_IN_MOTION, any_float[i]};
+        const parameter_value_message_t sent = {(uint8_t)(255 - i), PARAMETER_VALUE_RESULT_IN_MOTION, FIELD_MAXIMUM,
+                                                any_float[i]};
         frame_t frame;
         parameter_value_message_t got;
 
@@ -598,6 +617,7 @@ static void test_parameter_value_round_trip_keeps_every_bit(void)
         TEST_ASSERT_EQUAL(DECODE_OK, parameter_value_decode(&got, &frame));
         TEST_ASSERT_EQUAL_UINT8(255 - i, got.index);
         TEST_ASSERT_EQUAL_UINT8(PARAMETER_VALUE_RESULT_IN_MOTION, got.result);
+        TEST_ASSERT_EQUAL_UINT8(FIELD_MAXIMUM, got.field);
         TEST_ASSERT_EQUAL_HEX32(float_bits(any_float[i]), float_bits(got.value));
         TEST_ASSERT_EQUAL_HEX32(float_bits(any_float[i]), bits_of(&frame, 16, 32));
     }
@@ -605,7 +625,7 @@ static void test_parameter_value_round_trip_keeps_every_bit(void)
 
 static void test_trajectory_begin_round_trip(void)
 {
-    const trajectory_begin_message_t sent[] = {{0, 0}, {65535, UINT32_MAX}, {12800, 0xCBF43926u}};
+    const trajectory_begin_message_t sent[] = {{0, 0, 0}, {65535, UINT32_MAX, 15}, {12800, 0xCBF43926u, 6}};
     for (size_t i = 0; i < sizeof sent / sizeof sent[0]; i++) {
         frame_t frame;
         trajectory_begin_message_t got;
@@ -617,6 +637,8 @@ static void test_trajectory_begin_round_trip(void)
         TEST_ASSERT_EQUAL_HEX32(sent[i].crc32, got.crc32);
         TEST_ASSERT_EQUAL_UINT32(sent[i].length_bytes, bits_of(&frame, 0, 16));
         TEST_ASSERT_EQUAL_HEX32(sent[i].crc32, bits_of(&frame, 16, 32));
+        TEST_ASSERT_EQUAL_UINT8(sent[i].counter, got.counter);
+        TEST_ASSERT_EQUAL_UINT32(sent[i].counter, bits_of(&frame, 48, 4));
     }
 }
 

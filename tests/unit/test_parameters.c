@@ -28,6 +28,8 @@ static const struct {
     {0.0f, 3600.0f, 0.5f, false},   // pose_timeout_s
     {0.0f, 1.0f, 0.005f, false},    // wheel_speed_timeout_s
     {0.0f, 100.0f, 10.0f, true},    // tick_gap_max
+    {0.1f, 20.0f, 1.5f, false},     // braking_m_per_s2
+    {0.001f, 100.0f, 2.0f, false},  // error_limit_m
 };
 
 static parameters_t parameters;

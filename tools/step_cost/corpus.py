@@ -4,7 +4,8 @@ Everything is made at run time, from seeds, by the simulator and the firmware's 
 A session is a firmware from its start: groups of frames that go in before anybody takes the answers out.
 """
 
-from collections.abc import Iterator, Sequence
+import contextlib
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import product
 from typing import Any, NamedTuple
@@ -15,7 +16,7 @@ import numpy as np
 from host_sim.codec import Codec
 from host_sim.drive import drive, start_state
 from host_sim.inproc import InprocBus
-from host_sim.link import Link
+from host_sim.link import Link, RefusedError
 from host_sim.planner import PathRequest, plan
 from host_sim.plant import Plant
 from host_sim.robot import Robot, load_robot
@@ -30,15 +31,17 @@ OUTPUTS = ("posture", "point")
 TRACTIONS = ("linear", "magic")
 
 # Kinds of groups. Only `TICK` is a tick as it should be: driving, with fresh sensors.
-SETUP, TICK, IDLE_TICK, AFTER_GAP, FAULT = (
+SETUP, TICK, IDLE_TICK, AFTER_GAP, FAULT, BRAKING = (
     "setup",
     "tick",
     "tick without a step",
     "tick after missed ones",
     "tick with a fault",
+    "tick while braking",
 )
 
 RANDOM_TICKS = 60
+BRAKING_TICKS = 400  # to a stop of the reference, and some at rest
 RANDOM_SETTINGS = (
     {"epsilon": "0.001"},
     {"epsilon": "0.05", "series_ratio_max": "1e9", "force_bound_N": "1000", "torque_bound_Nm": "0.327"},
@@ -142,22 +145,40 @@ def closed_loop(name: str, scenario: Scenario, trajectory: Trajectory, robot: Ro
 
 
 class Script:
-    """Writes a session frame by frame, the firmware set up and driving."""
+    """Writes a session frame by frame, the firmware set up and driving: what a robot answers is in what comes next."""
 
     def __init__(self, wire: Wire, session: Session, scenario: Scenario, trajectory: Trajectory, robot: Robot) -> None:
-        self._wire, self.session, self._tick, self._command = wire, session, 0, 8
-        with Recorder() as bus:
-            prepare(Link(bus, wire.codec), robot, scenario, trajectory)
-            session.groups += wire.grouped(bus.sent)
+        self._wire, self.session, self._tick = wire, session, 0
+        self._bus = Recorder()
+        self._link = Link(self._bus, wire.codec)
+        self._note_sent(lambda: prepare(self._link, robot, scenario, trajectory))
+
+    def close(self) -> None:
+        """Let go of the firmware."""
+        self._bus.shutdown()
+
+    def _note_sent(self, act: Callable[[], object]) -> None:
+        """Do something over the link and add to the session what it sent."""
+        before = len(self._bus.sent)
+        with contextlib.suppress(RefusedError):
+            act()
+        self.session.groups += self._wire.grouped(self._bus.sent[before:])
+
+    def send(self, kind: str, *frames: FrameIn) -> None:
+        """Send frames, one behind the other."""
+        for frame in frames:
+            self._bus.send(can.Message(arbitration_id=frame.identifier, is_extended_id=False, data=frame.data))
+        while self._link.hear(0.0) is not None:
+            pass
+        self.session.groups.append(Group(kind, frames))
 
     def setup(self, name: str, *values: float) -> None:
         """Send one message that is not of a tick."""
-        self.session.groups.append(Group(SETUP, (self._wire.frame(name, *values),)))
+        self.send(SETUP, self._wire.frame(name, *values))
 
     def command(self, operation: str) -> None:
         """Ask for a change of mode."""
-        self._command = (self._command + 1) & 0xF
-        self.setup("COMMAND", self._wire.codec["COMMAND"].choices["operation"][operation], self._command)
+        self._note_sent(lambda: self._link.command(operation))
 
     def tick(
         self,
@@ -169,15 +190,18 @@ class Script:
         """Send the sensors, where there are any, and the SYNC of the tick that many ticks on."""
         self._tick += ticks
         counter = self._tick & 0xF
-        frames = [self._wire.frame("POSE", *pose, counter)] if pose is not None else []
-        frames += [self._wire.frame("WHEEL_SPEED", *wheel_speed, counter)] if wheel_speed is not None else []
-        frames.append(self._wire.frame("SYNC", self._tick, counter))
-        self.session.groups.append(Group(kind, tuple(frames)))
+        frames, seals = [], []
+        for name, values in (("POSE", pose), ("WHEEL_SPEED", wheel_speed)):
+            if values is not None:
+                frames.append(self._wire.frame(name, *values, counter))
+            seals.append(0 if values is None else self._wire.codec[name].seal(frames[-1].data))
+        frames.append(self._wire.frame("SYNC", self._tick, *seals))
+        self.send(kind, *frames)
 
     def restart(self) -> None:
         """Drive again after a fault."""
         self.command("CLEAR")
-        self.command("START")
+        self._note_sent(self._link.start)
 
 
 def random_states(script: Script, rng: np.random.Generator) -> None:
@@ -193,11 +217,10 @@ def what_goes_wrong(script: Script, robot: Robot) -> None:
     """Missing, late and unusable sensors, missed ticks, damaged frames, commands out of place."""
     nan, good = float("nan"), (0.1, 0.1, 0.1)
     script.tick(TICK)
-    script.tick(FAULT, pose=(nan, nan, nan))  # the fault comes up in this tick
+    script.tick(TICK, pose=(nan, nan, nan))
+    script.tick(TICK, wheel_speed=(nan, 0.0, 0.0))
+    script.tick(FAULT, pose=(-20.0, -20.0, 0.0))  # too far off: the fault comes up in this tick
     script.tick(IDLE_TICK)
-    script.restart()
-    script.tick(TICK, wheel_speed=good)
-    script.tick(FAULT, wheel_speed=(nan, 0.0, 0.0))
     script.restart()
     script.tick(TICK, wheel_speed=good)
     for _ in range(round(robot.parameter("wheel_speed_timeout_s").default / robot.control_period_s)):
@@ -215,13 +238,17 @@ def what_goes_wrong(script: Script, robot: Robot) -> None:
     script.restart()
     script.tick(TICK, wheel_speed=good)
     script.tick(IDLE_TICK, wheel_speed=good, ticks=0)  # asked again
-    script.setup("PARAMETER_SET", 0, 1.0, 3)  # refused in motion
-    script.setup("PARAMETER_GET", 200)
-    script.setup("TRAJECTORY_BEGIN", 100, 0)
+    script.command("NONE")
+    script.setup("PARAMETER_SET", 0, 1.0, 3)  # refused in motion, or a replay
+    for field_of_it in range(8):
+        script.setup("PARAMETER_GET", 4, field_of_it, 0)
+    script.setup("PARAMETER_GET", 200, 0, 0)
+    script.setup("TRAJECTORY_BEGIN", 100, 0, 4)
     script.setup("TRAJECTORY_DATA", 0, 1, 2, 3, 4, 5, 6)
-    script.session.groups.append(Group(SETUP, (FrameIn(0x040, bytes(6)), FrameIn(0x020, b"\x01"), FrameIn(0x7F0, b""))))
+    script.send(SETUP, FrameIn(0x040, bytes(7)), FrameIn(0x020, b"\x01"), FrameIn(0x050, b""), FrameIn(0x7F0, b""))
     script.command("STOP")
-    script.tick(IDLE_TICK)
+    for _ in range(BRAKING_TICKS):
+        script.tick(BRAKING)
 
 
 # ---- all of it
@@ -238,12 +265,14 @@ def sessions(orders: Sequence[str] = ORDERS) -> Iterator[Session]:
             yield closed_loop(f"{name}, {label}", scenario, trajectory, robot, wire)
         request, _, trajectory = paths["rounded"]
         for number, settings in enumerate(RANDOM_SETTINGS):
-            told = dict(settings)
+            told = dict(settings) | {"error_limit_m": "100"}
             scenario = Scenario(request, float(told.pop("epsilon")), order, output, traction, parameters=told)  # type: ignore[arg-type]
             session = Session(f"random {number}, {label}", order, output)
-            random_states(Script(wire, session, scenario, trajectory, robot), np.random.default_rng(SEED + number))
+            with contextlib.closing(Script(wire, session, scenario, trajectory, robot)) as script:
+                random_states(script, np.random.default_rng(SEED + number))
             yield session
         session = Session(f"faults, {label}", order, output)
-        scenario = Scenario(request, 0.01, order, output, traction)  # type: ignore[arg-type]
-        what_goes_wrong(Script(wire, session, scenario, trajectory, robot), robot)
+        scenario = Scenario(request, 0.01, order, output, traction, parameters={"error_limit_m": "12"})  # type: ignore[arg-type]
+        with contextlib.closing(Script(wire, session, scenario, trajectory, robot)) as script:
+            what_goes_wrong(script, robot)
         yield session

@@ -2,6 +2,7 @@
 #include "inproc.h"
 
 #include "app.h"
+#include "crc.h"
 #include "messages.h"
 
 #define EXPORTED __attribute__((visibility("default")))
@@ -32,14 +33,24 @@ EXPORTED void omnibot_tick(void *instance)
     app_tick(instance);
 }
 
-static void receive_sensors(app_t *app, uint8_t counter, const omnibot_sensors_t *sensors)
+/// Returns the CRC-8 by which SYNC vouches for the frame.
+static uint8_t receive_sensor(app_t *app, const frame_t *frame)
+{
+    app_receive(app, frame);
+    return crc8_frame(frame, frame->length);
+}
+
+static sync_message_t receive_sensors(app_t *app, uint32_t tick, const omnibot_sensors_t *sensors)
 {
     const float *x = sensors->pose, *speed = sensors->wheel_speed_rad_per_s;
+    const uint8_t counter = tick & 0xFu;
+    sync_message_t sync = {.tick = tick};
     frame_t frame;
     pose_encode(&frame, app->node, &(pose_message_t){x[0], x[1], x[2], counter});
-    app_receive(app, &frame);
+    sync.pose_crc = receive_sensor(app, &frame);
     wheel_speed_encode(&frame, app->node, &(wheel_speed_message_t){speed[0], speed[1], speed[2], counter});
-    app_receive(app, &frame);
+    sync.wheel_speed_crc = receive_sensor(app, &frame);
+    return sync;
 }
 
 /// Empties the outbox; -1 unless TORQUE and SLIP are in it.
@@ -66,10 +77,9 @@ EXPORTED int32_t omnibot_lockstep(void *instance, uint32_t tick, const omnibot_s
                                   omnibot_answer_t *answer)
 {
     app_t *app = instance;
-    const uint8_t counter = (uint8_t)(tick & 0xFu);
+    const sync_message_t sync = receive_sensors(app, tick, sensors);
     frame_t frame;
-    receive_sensors(app, counter, sensors);
-    sync_encode(&frame, app->node, &(sync_message_t){tick, counter});
+    sync_encode(&frame, app->node, &sync);
     app_receive(app, &frame);
     return take_answer(app, answer);
 }
