@@ -6,6 +6,7 @@ motor_constants.c holds the board's motors; parameter_table.h and .c hold the pa
 """
 
 import sys
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -117,11 +118,21 @@ def motor_source(robot: Robot) -> str:
     return '#include "motor.h"\n\nconst motor_t omnibot_motor = {\n' + "\n".join(lines) + "\n};\n"
 
 
+def table_hash(parameters: tuple[Parameter, ...]) -> int:
+    """Return the CRC-32 of what gives a kept value its meaning: index, name, unit, type and range, not the default."""
+    rows = (
+        f"{p.index} {p.name} {p.unit} {'integer' if p.integer else 'real'} {c_float(p.minimum)} {c_float(p.maximum)}\n"
+        for p in parameters
+    )
+    return zlib.crc32("".join(rows).encode())
+
+
 def table_header(parameters: tuple[Parameter, ...]) -> str:
     """Return parameter_table.h: an index a parameter."""
     names = "\n".join(f"    PARAMETER_{p.name.upper()} = {p.index}, // {p.unit}; {p.source}" for p in parameters)
     return (
         "#ifndef OMNIBOT_PARAMETER_TABLE_H\n#define OMNIBOT_PARAMETER_TABLE_H\n\n#include <stdbool.h>\n\n"
+        f"#define PARAMETER_TABLE_HASH 0x{table_hash(parameters):08X}u // index, name, unit, type and range of all\n\n"
         f"enum {{\n{names}\n    PARAMETER_COUNT = {len(parameters)}\n}};\n\n"
         "typedef struct {\n    float minimum, maximum, initial;\n    bool integer;\n"
         "    const char *name, *unit; // ASCII\n} parameter_description_t;\n\n"
