@@ -245,10 +245,12 @@ def test_other_wire_definition_is_refused_by_name(tmp_path: Path, start_firmware
         (["--can", "vcan0", "more"], b"usage"),
         (["--can", "vcan0", "--time", "sometimes"], b"must be lockstep or realtime"),
         (["--can", "vcan0", "--timing", "x.json"], b"add --time realtime"),
+        (["--can", "vcan0", "--parameters", "/no/such/folder/p"], b"--parameters /no/such/folder/p: No such file"),
+        (["--can", "vcan0", "--parameters", "pyproject.toml"], b"no file of parameters, which has 16384 bytes"),
     ],
 )
 def test_omnibot_sil_refuses_bad_arguments(arguments: list[str], says: bytes) -> None:
-    result = subprocess.run([SIL, *arguments], capture_output=True, timeout=10, check=False)
+    result = subprocess.run([SIL, *arguments], cwd=ROOT, capture_output=True, timeout=10, check=False)
     assert result.returncode != 0
     assert says in result.stderr
 

@@ -4,6 +4,7 @@
 #include "app.h"
 #include "histogram.h"
 #include "messages.h"
+#include "settings_file.h"
 #include "socketcan.h"
 #include "timer.h"
 
@@ -21,15 +22,20 @@ enum { REALTIME_PRIORITY = 50 };
 
 static const char usage[] =
     "usage: omnibot-sil --can INTERFACE [--node N] [--time lockstep|realtime] [--timing FILE]\n"
+    "                   [--parameters FILE]\n"
     "  --can INTERFACE  SocketCAN interface, such as vcan0\n"
     "  --node N         our node on the bus, 0 to 15 (default 0)\n"
     "  --time WHAT      lockstep: a step when the host says so (default); realtime: by our own timer as well,\n"
     "                   where the host asks for it, SCHED_FIFO and locked memory where they are permitted\n"
-    "  --timing FILE    with realtime: at the end, histograms of step time and release jitter as JSON\n";
+    "  --timing FILE    with realtime: at the end, histograms of step time and release jitter as JSON\n"
+    "  --parameters FILE  keeps the parameters over a restart; the file is made when there is none (default: nothing "
+    "is\n"
+    "                   kept)\n";
 
 typedef struct {
     const char *interface;
-    const char *timing_file; // NULL: none
+    const char *timing_file;     // NULL: none
+    const char *parameters_file; // NULL: none
     uint8_t node;
     bool realtime;
 } options_t;
@@ -38,6 +44,7 @@ typedef struct {
     app_t app;
     int socket;
     period_timer_t timer; // handle −1 in lockstep
+    settings_file_t settings;
     histogram_t step_time;
     histogram_t release_jitter;
     uint64_t overruns;
@@ -99,6 +106,9 @@ static bool parse_option(int option, options_t *options)
     case 'f':
         options->timing_file = optarg;
         return true;
+    case 'p':
+        options->parameters_file = optarg;
+        return true;
     default:
         return false;
     }
@@ -106,10 +116,13 @@ static bool parse_option(int option, options_t *options)
 
 static bool parse_options(int argc, char **argv, options_t *options)
 {
-    static const struct option known[] = {
-        {"can", required_argument, NULL, 'c'},  {"node", required_argument, NULL, 'n'},
-        {"time", required_argument, NULL, 't'}, {"timing", required_argument, NULL, 'f'},
-        {"help", no_argument, NULL, 'h'},       {0}};
+    static const struct option known[] = {{"can", required_argument, NULL, 'c'},
+                                          {"node", required_argument, NULL, 'n'},
+                                          {"time", required_argument, NULL, 't'},
+                                          {"timing", required_argument, NULL, 'f'},
+                                          {"parameters", required_argument, NULL, 'p'},
+                                          {"help", no_argument, NULL, 'h'},
+                                          {0}};
     int option;
     while ((option = getopt_long(argc, argv, "", known, NULL)) != -1) {
         if (!parse_option(option, options)) {
@@ -257,10 +270,13 @@ static app_port_t port_of(const options_t *options)
 
 int main(int argc, char **argv)
 {
-    static process_t process = {.timer = {.handle = -1}};
+    static process_t process = {.timer = {.handle = -1}, .settings = {.handle = -1}};
     options_t options = {.interface = NULL};
     if (!parse_options(argc, argv, &options)) {
         return 2;
+    }
+    if (options.parameters_file != NULL && !settings_file_open(&process.settings, options.parameters_file)) {
+        return 1;
     }
     process.socket = socketcan_open(options.interface, options.node);
     if (process.socket < 0) {
