@@ -17,7 +17,7 @@ from host_sim.errors import OmnibotError
 from host_sim.robot import ROOT
 
 IMAGE_FILE = ROOT / "build" / "board" / "omnibot.bin"
-FLASH_ADDRESS, FLASH_BYTES = 0x0800_0000, 1024 * 1024  # RM0090, table 5
+FLASH_ADDRESS, FLASH_BYTES = 0x0800_0000, 768 * 1024  # RM0090, table 5; above lie the parameters that are kept
 RAM_ADDRESS, RAM_BYTES = 0x2000_0000, 128 * 1024
 AT = f"{FLASH_ADDRESS:#010x}"
 
@@ -73,7 +73,7 @@ def _pyocd(image: Path, _: Path) -> list[list[str]]:
     board = ["--no-wait", "--target", "stm32f405rg"]
     compare = f"compare {AT} {shlex.quote(str(image))}"
     return [
-        ["pyocd", "load", *board, "--base-address", AT, str(image)],
+        ["pyocd", "load", *board, "--erase", "sector", "--base-address", AT, str(image)],
         ["pyocd", "commander", *board, "--command", compare, "--command", "reset"],
     ]
 

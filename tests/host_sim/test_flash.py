@@ -88,7 +88,7 @@ def test_pyocd_loads_compares_and_resets(fake: Fake, image: Path) -> None:
     flash_with("pyocd", image)
     board = ["--no-wait", "--target", "stm32f405rg"]
     assert calls(record) == [
-        ["load", *board, "--base-address", AT, str(image)],
+        ["load", *board, "--erase", "sector", "--base-address", AT, str(image)],
         ["commander", *board, "--command", f"compare {AT} '{image}'", "--command", "reset"],
     ]
 
@@ -232,7 +232,7 @@ def test_what_dfu_util_reads_back_is_compared(fake: Fake, image: Path, tmp_path:
         (struct.pack("<II", 0x2002_0004, 0x0800_0009) + bytes(100), "stack beyond the RAM"),
         (struct.pack("<II", 0x2000_2000, 0x0800_0008) + bytes(100), "reset address without the Thumb bit"),
         (struct.pack("<II", 0x2000_2000, 0x0800_0071) + bytes(100), "reset address behind the image"),
-        (struct.pack("<II", 0x2000_2000, 0x0800_0009) + bytes(1 << 20), "more than the flash holds"),
+        (struct.pack("<II", 0x2000_2000, 0x0800_0009) + bytes(0xC0000), "reaches the parameters that are kept"),
     ],
 )
 def test_file_that_is_no_image_is_refused_before_a_tool_runs(
