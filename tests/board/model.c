@@ -9,6 +9,7 @@
 // The instances of registers.h, here in the host's memory.
 rcc_registers_t rcc;
 flash_registers_t flash_interface;
+flash_sector_t settings_sectors[2];
 pwr_registers_t pwr;
 gpio_registers_t gpio_a, gpio_b, gpio_c, gpio_d;
 adc_registers_t adc1;
@@ -43,7 +44,7 @@ static const struct {
     BLOCK(usart1),     BLOCK(can1),
     BLOCK(scb),        BLOCK(dbgmcu),
     BLOCK(systick),    BLOCK(nvic),
-    BLOCK(dwt),
+    BLOCK(dwt),        BLOCK(settings_sectors),
 };
 
 enum { LOG_MAX = 1 << 18, CORE_LOG_MAX = 256 };

@@ -15,7 +15,7 @@ enum { NODE = 3, ENABLE_PIN = 15, SEGMENT_BYTES = 100, FRAME_BYTES = 6, CYCLES_A
 #define MOE (1u << 15)
 
 static loop_t loop;
-static bool crystal, rcc_answers;
+static bool crystal, rcc_answers, flash_is_there;
 static uint32_t break_flag;
 static uint32_t cycles;
 
@@ -43,6 +43,9 @@ static uint32_t on_write(reg_t *reg, uint32_t value)
     }
     if (reg == &rcc.cfgr) {
         return (value & ~(3u << 2)) | (value & 3u) << 2;
+    }
+    if (reg == &flash_interface.cr && !flash_is_there) {
+        return 0;
     }
     if (reg == &can1.mcr) {
         model_set(&can1.msr, value & 1u);
@@ -83,6 +86,7 @@ void setUp(void)
 {
     crystal = true;
     rcc_answers = true;
+    flash_is_there = true;
     break_flag = 0;
     memset(&board_crash, 0, sizeof board_crash);
     power_on();
@@ -592,9 +596,27 @@ static void test_board_does_not_sleep_over_a_tick_or_a_byte(void)
     TEST_ASSERT_EQUAL_STRING("mu", model_core_log());
 }
 
+static void test_board_offers_a_memory_for_parameters_where_its_flash_answers(void)
+{
+    loop_start(&loop, NODE);
+    const settings_memory_t *memory = board_settings(&loop.board);
+    TEST_ASSERT_NOT_NULL(memory);
+    uint8_t word[4];
+    model_set(&settings_sectors[1].words[64], 0x04030201);
+    TEST_ASSERT_TRUE(memory->read(memory->context, 1, 256, word, sizeof word));
+    TEST_ASSERT_EQUAL_HEX8_ARRAY(((uint8_t[]){1, 2, 3, 4}), word, 4);
+    TEST_ASSERT_EQUAL_HEX32(0x80000000, model_get(&flash_interface.cr)); // locked
+
+    flash_is_there = false;
+    power_on();
+    loop_start(&loop, NODE);
+    TEST_ASSERT_NULL(board_settings(&loop.board));
+}
+
 int main(void)
 {
     UNITY_BEGIN();
+    RUN_TEST(test_board_offers_a_memory_for_parameters_where_its_flash_answers);
     RUN_TEST(test_first_of_all_the_bridges_are_switched_off);
     RUN_TEST(test_start_leaves_the_bridges_off_and_starts_the_watchdog_last);
     RUN_TEST(test_start_writes_no_peripheral_but_those_it_uses);

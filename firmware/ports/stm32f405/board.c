@@ -79,6 +79,26 @@ static void start_lines(board_t *board, uint8_t node)
     link_init(&board->link, &board->can, &board->usart, node);
 }
 
+enum { SETTINGS_FIRST_SECTOR = 10 }; // settings_sectors of stm32f405.ld
+
+static void start_settings(board_t *board)
+{
+    board->flash = (flash_t){
+        .registers = &flash_interface,
+        .watchdog = &iwdg,
+        .power = &pwr,
+        .sector = settings_sectors,
+        .first_sector = SETTINGS_FIRST_SECTOR,
+    };
+    board->settings = flash_memory(&board->flash);
+    board->keeps_settings = flash_answers(&flash_interface);
+}
+
+const settings_memory_t *board_settings(const board_t *board)
+{
+    return board->keeps_settings ? &board->settings : NULL;
+}
+
 void board_start(board_t *board, uint8_t node)
 {
     board_bridges_off();
@@ -88,6 +108,7 @@ void board_start(board_t *board, uint8_t node)
     board->clock = clock_start(&rcc, &flash_interface, BOARD_CRYSTAL_MHz);
     start_pins();
     power_start(&pwr);
+    start_settings(board);
     cycles_start(&board->cycles, &scb, &dwt, board->clock.core_Hz);
     wheels_start(&board->wheels, &wheels_wiring, &omnibot_motor, board->clock.timer_Hz);
     adc_start(&board->adc, &adc1, &adc_common, &adc_wiring);

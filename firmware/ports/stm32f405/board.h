@@ -9,6 +9,7 @@
 #include "clock.h"
 #include "cycles.h"
 #include "fault.h"
+#include "flash.h"
 #include "link.h"
 #include "supply.h"
 #include "usart.h"
@@ -26,6 +27,9 @@ typedef struct {
     wheels_t wheels;
     adc_t adc;
     supply_t supply;
+    flash_t flash;
+    settings_memory_t settings;
+    bool keeps_settings;
     _Atomic uint32_t ticks; // of the timer, since the start
     uint32_t ticks_done;
 } board_t;
@@ -38,6 +42,9 @@ void board_bridges_off(void);
 
 /// Brings up clock, pins, lines, wheels, timer and, last, the watchdog. The bridges stay off.
 void board_start(board_t *board, uint8_t node);
+
+/// Where parameters outlive a reset; NULL where nothing does. Saving may stop the core for 2 s: not with motors on.
+const settings_memory_t *board_settings(const board_t *board);
 
 /// The timer's interrupt.
 void board_count_tick(board_t *board);

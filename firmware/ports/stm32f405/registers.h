@@ -87,6 +87,23 @@ REGISTER_AT(flash_registers_t, optcr, 0x14);
 #define FLASH_ACR_PRFTEN (1u << 8)
 #define FLASH_ACR_ICEN (1u << 9)
 #define FLASH_ACR_DCEN (1u << 10)
+#define FLASH_ACR_DCRST (1u << 12)
+#define FLASH_KEY1 0x45670123u
+#define FLASH_KEY2 0xCDEF89ABu
+#define FLASH_SR_EOP (1u << 0)
+#define FLASH_SR_ERRORS (1u << 1 | 15u << 4) // OPERR, WRPERR, PGAERR, PGPERR, PGSERR
+#define FLASH_SR_BSY (1u << 16)
+#define FLASH_CR_PG (1u << 0)
+#define FLASH_CR_SER (1u << 1)
+#define FLASH_CR_SNB(sector) ((uint32_t)(sector) << 3)
+#define FLASH_CR_PSIZE_32 (2u << 8)
+#define FLASH_CR_STRT (1u << 16)
+#define FLASH_CR_LOCK (1u << 31)
+
+/// A sector of 128 kB, as words (RM0090 3.3, table 5).
+typedef struct {
+    reg_t words[32768];
+} flash_sector_t;
 
 // ---- RM0090 5.4 Power control registers
 
@@ -176,6 +193,7 @@ REGISTER_AT(iwdg_registers_t, sr, 0x0C);
 #define IWDG_KR_UNLOCK 0x5555u
 #define IWDG_KR_START 0xCCCCu
 #define IWDG_PR_BY_4 0u
+#define IWDG_PR_BY_64 4u
 #define IWDG_SR_PVU (1u << 0)
 #define IWDG_SR_RVU (1u << 1)
 
@@ -336,6 +354,7 @@ REGISTER_AT(dwt_registers_t, cyccnt, 0x04);
 
 extern rcc_registers_t rcc;
 extern flash_registers_t flash_interface;
+extern flash_sector_t settings_sectors[2];
 extern pwr_registers_t pwr;
 extern gpio_registers_t gpio_a, gpio_b, gpio_c, gpio_d;
 extern adc_registers_t adc1;

@@ -7,7 +7,7 @@
 
 #include "registers.h"
 
-enum { WATCHDOG_TIMEOUT_MS = 50 };
+enum { WATCHDOG_TIMEOUT_MS = 50, WATCHDOG_STRETCHED_MS = 8190 };
 
 /// What makes a tick healthy.
 typedef struct {
@@ -17,6 +17,11 @@ typedef struct {
 
 /// False when it did not take the settings: then it runs with its longest time-out, 512 ms.
 bool watchdog_start(iwdg_registers_t *registers);
+
+/// Gives it WATCHDOG_STRETCHED_MS, 5.5 … 15 s, from now on, for what stops the core longer than its own time; and takes
+/// that back. False when it did not take the settings.
+bool watchdog_stretch(iwdg_registers_t *registers);
+bool watchdog_restore(iwdg_registers_t *registers);
 
 bool tick_is_healthy(const tick_health_t *health);
 
