@@ -139,6 +139,57 @@ static uint8_t clear(app_t *app)
     return REFUSAL_NONE;
 }
 
+static uint8_t count_unsaved(const app_t *app)
+{
+    uint8_t unsaved = 0;
+    for (int i = 0; i < PARAMETER_COUNT; i++) {
+        if (islessgreater(app->parameters.value[i], app->kept.value[i])) {
+            unsaved++;
+        }
+    }
+    return unsaved;
+}
+
+static void send_parameter_store(app_t *app)
+{
+    const parameter_store_message_t store = {
+        .origin = app->parameter_origin,
+        .count = PARAMETER_COUNT,
+        .unsaved = count_unsaved(app),
+    };
+    frame_t frame;
+    parameter_store_encode(&frame, app->node, &store);
+    report_send(app, &frame);
+}
+
+/// Keeps what is in force. The port may take its time over it: nothing moves meanwhile.
+static uint8_t save_parameters(app_t *app)
+{
+    if (!mode_is_safe(app->mode)) {
+        return REFUSAL_WRONG_MODE;
+    }
+    if (app->settings == NULL) {
+        return REFUSAL_UNABLE;
+    }
+    if (!settings_save(app->settings, &app->parameters)) {
+        return REFUSAL_NOT_SAVED;
+    }
+    app->kept = app->parameters;
+    app->parameter_origin = ORIGIN_KEPT;
+    return REFUSAL_NONE;
+}
+
+/// Puts the defaults in force; what is kept stays until the next save.
+static uint8_t reset_parameters(app_t *app)
+{
+    if (!mode_is_safe(app->mode)) {
+        return REFUSAL_WRONG_MODE;
+    }
+    parameters_reset(&app->parameters);
+    app->control = parameters_for_control(&app->parameters, app->robot);
+    return REFUSAL_NONE;
+}
+
 static uint8_t perform(app_t *app, const command_message_t *command)
 {
     switch (command->operation) {
@@ -151,6 +202,10 @@ static uint8_t perform(app_t *app, const command_message_t *command)
         return REFUSAL_NONE;
     case OPERATION_CLEAR:
         return clear(app);
+    case OPERATION_SAVE_PARAMETERS:
+        return save_parameters(app);
+    case OPERATION_RESET_PARAMETERS:
+        return reset_parameters(app);
     case OPERATION_USE_LOCKSTEP:
         return use(app, DRIVE_LOCKSTEP);
     case OPERATION_USE_REALTIME:
@@ -173,6 +228,9 @@ static decode_result_t on_command(app_t *app, const frame_t *frame)
     if (request_follows(app, command.counter) || command.operation == OPERATION_STOP) {
         app->refusal = perform(app, &command);
         report_status(app);
+        if (command.operation == OPERATION_SAVE_PARAMETERS || command.operation == OPERATION_RESET_PARAMETERS) {
+            send_parameter_store(app);
+        }
     }
     return result;
 }
@@ -245,19 +303,6 @@ static decode_result_t on_parameter_get(app_t *app, const frame_t *frame)
         send_value(app, get.index, get.field, known ? PARAMETER_VALUE_RESULT_OK : PARAMETER_VALUE_RESULT_UNKNOWN_FIELD);
     }
     return result;
-}
-
-/// No port keeps parameters yet: those in force are the defaults and what was set since.
-static void send_parameter_store(app_t *app)
-{
-    const parameter_store_message_t store = {
-        .origin = ORIGIN_NO_MEMORY,
-        .count = PARAMETER_COUNT,
-        .unsaved = 0,
-    };
-    frame_t frame;
-    parameter_store_encode(&frame, app->node, &store);
-    report_send(app, &frame);
 }
 
 static void send_trajectory_ack(app_t *app, store_answer_t answer)
@@ -383,8 +428,23 @@ void app_init(app_t *app, const robot_t *robot, uint8_t node, app_port_t port)
     app->sync_age_ticks = UINT32_MAX;
     pace_forget_readings(app);
     parameters_reset(&app->parameters);
+    app->kept = app->parameters;
+    app->parameter_origin = ORIGIN_NO_MEMORY;
     app->control = parameters_for_control(&app->parameters, robot);
     report_event(app, EVENT_READY);
+}
+
+void app_use_settings(app_t *app, const settings_memory_t *memory)
+{
+    static const uint8_t origin[] = {
+        [SETTINGS_OK] = ORIGIN_KEPT, [SETTINGS_EMPTY] = ORIGIN_DEFAULTS, [SETTINGS_LOST] = ORIGIN_LOST};
+    app->settings = memory;
+    app->parameter_origin = origin[settings_load(memory, &app->parameters)];
+    app->kept = app->parameters;
+    app->control = parameters_for_control(&app->parameters, app->robot);
+    if (app->parameter_origin == ORIGIN_LOST) {
+        faults_raise(app, FAULT_PARAMETERS_LOST);
+    }
 }
 
 void app_receive(app_t *app, const frame_t *frame)

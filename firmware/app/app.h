@@ -12,6 +12,7 @@
 #include "outbox.h"
 #include "parameters.h"
 #include "reading.h"
+#include "settings.h"
 #include "store.h"
 
 enum {
@@ -95,8 +96,11 @@ typedef struct {
     braking_t braking;
     control_state_t state;
     parameters_t parameters;
-    control_params_t control; // made from the parameters
-    vec3_t torque_Nm;         // of the last step
+    const settings_memory_t *settings; // where parameters outlive a reset; NULL: nowhere
+    parameters_t kept;                 // those that the next start finds
+    uint8_t parameter_origin;          // ORIGIN_…: where they came from at the start, or were put since
+    control_params_t control;          // made from the parameters
+    vec3_t torque_Nm;                  // of the last step
     step_times_t step_times;
     app_health_t health;
     bool health_known;
@@ -108,8 +112,12 @@ typedef struct {
     outbox_t outbox;
 } app_t;
 
-/// Ready in IDLE, without a trajectory.
+/// Ready in IDLE with default parameters and no trajectory.
 void app_init(app_t *app, const robot_t *robot, uint8_t node, app_port_t port);
+
+/// Where parameters outlive a reset, to be told right after app_init: those that are kept there are in force. Where
+/// they are lost, the defaults are, with FAULT_PARAMETERS_LOST: a robot that was tuned says so before it moves.
+void app_use_settings(app_t *app, const settings_memory_t *memory);
 
 /// Takes one frame off the bus. Frames of other nodes and functions are ignored; damaged and replayed ones, and those
 /// under this robot's own identifiers, are counted and change nothing else. Answers go to the outbox.

@@ -74,6 +74,7 @@ static uint32_t on_read(reg_t *reg, uint32_t value)
 static void power_on(void)
 {
     model_reset();
+    memset(settings_sectors, 0xFF, sizeof settings_sectors); // a board that never kept anything
     model_on_write(on_write);
     model_on_read(on_read);
     model_set(&rcc.cr, rcc_answers ? 0x83 : 0);

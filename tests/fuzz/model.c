@@ -126,6 +126,17 @@ static uint8_t clear(model_t *model)
     return REFUSAL_NONE;
 }
 
+static uint8_t reset_parameters(model_t *model)
+{
+    if (!model_is_safe(model)) {
+        return REFUSAL_WRONG_MODE;
+    }
+    for (int i = 0; i < PARAMETER_COUNT; i++) {
+        model->parameter[i] = parameter_table[i].initial;
+    }
+    return REFUSAL_NONE;
+}
+
 uint8_t model_command(model_t *model, uint8_t operation, bool key_fits)
 {
     switch (operation) {
@@ -137,6 +148,10 @@ uint8_t model_command(model_t *model, uint8_t operation, bool key_fits)
         return stop(model);
     case OPERATION_CLEAR:
         return clear(model);
+    case OPERATION_SAVE_PARAMETERS:
+        return model_is_safe(model) ? REFUSAL_UNABLE : REFUSAL_WRONG_MODE; // this robot has nothing to keep them in
+    case OPERATION_RESET_PARAMETERS:
+        return reset_parameters(model);
     case OPERATION_USE_LOCKSTEP:
         return use(model, DRIVE_LOCKSTEP);
     case OPERATION_USE_REALTIME:

@@ -284,7 +284,10 @@ static void after_command(subject_t *subject, const frame_t *frame)
     const int challenges = before == MODE_IDLE && model->mode == MODE_ARMED ? 1 : 0;
     outcome_t outcome;
     if (look(subject, &outcome)) {
-        REQUIRE(outcome.count == 1 + challenges && outcome.statuses == 1, "one STATUS for a COMMAND");
+        const bool stores =
+            command.operation == OPERATION_SAVE_PARAMETERS || command.operation == OPERATION_RESET_PARAMETERS;
+        REQUIRE(outcome.count == 1 + challenges + (stores ? 1 : 0) && outcome.statuses == 1,
+                "one STATUS for a COMMAND");
         REQUIRE(outcome.challenges == challenges, "a key for ARM and for nothing else");
         REQUIRE(outcome.status.refusal == refusal, "STATUS: the refusal that fits");
         REQUIRE(outcome.status.mode == model->mode, "STATUS: the mode after the COMMAND");

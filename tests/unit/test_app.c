@@ -1625,6 +1625,137 @@ static void test_wheel_speed_that_no_wheel_has_is_none(void)
     TEST_ASSERT_EQUAL_UINT32(1, app.wheel_speed.age_ticks);
 }
 
+// ---- parameters that outlive a reset: in a memory of two pages that works; settings.c's own tests cut its power
+
+enum { PAGE_BYTES = 1024 };
+static uint8_t pages[SETTINGS_PAGES][PAGE_BYTES];
+static bool memory_works;
+
+static bool read_page(void *context, uint8_t page, uint32_t offset, uint8_t *bytes, uint32_t length)
+{
+    (void)context;
+    memcpy(bytes, &pages[page][offset], length);
+    return true;
+}
+
+static bool erase_page(void *context, uint8_t page)
+{
+    (void)context;
+    memset(pages[page], 0xFF, PAGE_BYTES);
+    return true;
+}
+
+static bool program_page(void *context, uint8_t page, uint32_t offset, const uint8_t *bytes, uint32_t length)
+{
+    (void)context;
+    memcpy(&pages[page][offset], bytes, memory_works ? length : 0);
+    return true;
+}
+
+static const settings_memory_t memory = {
+    .page_bytes = PAGE_BYTES, .read = read_page, .erase = erase_page, .program = program_page};
+
+static void restart_with_memory(void)
+{
+    setUp();
+    app_use_settings(&app, &memory);
+    look();
+}
+
+static void make_blank_memory(void)
+{
+    memory_works = true;
+    (void)erase_page(NULL, 0);
+    (void)erase_page(NULL, 1);
+    restart_with_memory();
+}
+
+static void test_first_start_has_the_defaults_and_says_so(void)
+{
+    make_blank_memory();
+    hello(PROTOCOL_HASH);
+    TEST_ASSERT_EQUAL_UINT8(ORIGIN_DEFAULTS, got.store.origin);
+    TEST_ASSERT_EQUAL_UINT8(FAULT_NONE, app.fault);
+}
+
+static void test_saved_parameters_are_in_force_after_a_restart(void)
+{
+    make_blank_memory();
+    set_parameter(PARAMETER_EPSILON, 0.25f);
+    hello(PROTOCOL_HASH);
+    TEST_ASSERT_EQUAL_UINT8(1, got.store.unsaved);
+    command(OPERATION_SAVE_PARAMETERS);
+    TEST_ASSERT_EQUAL_UINT8(REFUSAL_NONE, got.status.refusal);
+    TEST_ASSERT_EQUAL_UINT8(0, got.store.unsaved);
+    set_parameter(PARAMETER_EPSILON, 0.5f); // not saved
+
+    restart_with_memory();
+
+    TEST_ASSERT_FLOAT_WITHIN(0.0f, 0.25f, app.parameters.value[PARAMETER_EPSILON]);
+    TEST_ASSERT_FLOAT_WITHIN(1e-6f, 0.25f * omnibot.normalised_compliance_per_N, app.control.floor.compliance_per_N);
+    hello(PROTOCOL_HASH);
+    TEST_ASSERT_EQUAL_UINT8(ORIGIN_KEPT, got.store.origin);
+}
+
+static void test_reset_puts_defaults_in_force_and_keeps_what_is_kept(void)
+{
+    make_blank_memory();
+    set_parameter(PARAMETER_EPSILON, 0.25f);
+    command(OPERATION_SAVE_PARAMETERS);
+
+    command(OPERATION_RESET_PARAMETERS);
+
+    TEST_ASSERT_EQUAL(1, got.stores);
+    TEST_ASSERT_EQUAL_UINT8(1, got.store.unsaved);
+    TEST_ASSERT_FLOAT_WITHIN(0.0f, 0.01f, app.parameters.value[PARAMETER_EPSILON]);
+    restart_with_memory();
+    TEST_ASSERT_FLOAT_WITHIN(0.0f, 0.25f, app.parameters.value[PARAMETER_EPSILON]);
+}
+
+static void test_lost_parameters_are_a_fault_until_it_is_cleared(void)
+{
+    make_blank_memory();
+    command(OPERATION_SAVE_PARAMETERS);
+    memset(pages, 0x5A, sizeof pages);
+
+    restart_with_memory();
+
+    TEST_ASSERT_EQUAL_UINT8(MODE_FAULT, app.mode);
+    TEST_ASSERT_EQUAL_UINT8(FAULT_PARAMETERS_LOST, app.fault);
+    hello(PROTOCOL_HASH);
+    TEST_ASSERT_EQUAL_UINT8(ORIGIN_LOST, got.store.origin);
+    command(OPERATION_CLEAR);
+    TEST_ASSERT_EQUAL_UINT8(MODE_IDLE, got.status.mode);
+}
+
+static void test_save_that_fails_is_refused(void)
+{
+    make_blank_memory();
+    memory_works = false;
+    set_parameter(PARAMETER_EPSILON, 0.25f);
+
+    command(OPERATION_SAVE_PARAMETERS);
+
+    TEST_ASSERT_EQUAL_UINT8(REFUSAL_NOT_SAVED, got.status.refusal);
+    TEST_ASSERT_EQUAL_UINT8(1, got.store.unsaved);
+}
+
+static void test_save_without_a_memory_is_refused_unable(void)
+{
+    command(OPERATION_SAVE_PARAMETERS);
+    TEST_ASSERT_EQUAL_UINT8(REFUSAL_UNABLE, got.status.refusal);
+    TEST_ASSERT_EQUAL_UINT8(ORIGIN_NO_MEMORY, got.store.origin);
+}
+
+static void test_save_and_reset_in_motion_are_refused(void)
+{
+    make_moving();
+    command(OPERATION_SAVE_PARAMETERS);
+    TEST_ASSERT_EQUAL_UINT8(REFUSAL_WRONG_MODE, got.status.refusal);
+    command(OPERATION_RESET_PARAMETERS);
+    TEST_ASSERT_EQUAL_UINT8(REFUSAL_WRONG_MODE, got.status.refusal);
+}
+
 // ---- frames that are not for us, or damaged
 
 static void test_frames_of_other_nodes_are_ignored(void)
@@ -2422,6 +2553,13 @@ int main(void)
     RUN_TEST(test_hello_of_another_protocol_does_not_end_motion);
     RUN_TEST(test_status_that_found_no_room_is_sent_when_there_is_some);
     RUN_TEST(test_wheel_speed_that_no_wheel_has_is_none);
+    RUN_TEST(test_first_start_has_the_defaults_and_says_so);
+    RUN_TEST(test_saved_parameters_are_in_force_after_a_restart);
+    RUN_TEST(test_reset_puts_defaults_in_force_and_keeps_what_is_kept);
+    RUN_TEST(test_lost_parameters_are_a_fault_until_it_is_cleared);
+    RUN_TEST(test_save_that_fails_is_refused);
+    RUN_TEST(test_save_without_a_memory_is_refused_unable);
+    RUN_TEST(test_save_and_reset_in_motion_are_refused);
     RUN_TEST(test_frames_of_other_nodes_are_ignored);
     RUN_TEST(test_frames_of_functions_that_the_robot_does_not_take_are_ignored);
     RUN_TEST(test_frames_of_a_wrong_length_are_counted_and_do_nothing);

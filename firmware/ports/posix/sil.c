@@ -264,8 +264,10 @@ static bool write_timing(const process_t *process, const char *name)
 static app_port_t port_of(const options_t *options)
 {
     const uint8_t lockstep = 1u << DRIVE_LOCKSTEP, realtime = 1u << DRIVE_REALTIME;
-    return options->realtime ? (app_port_t){.drives = lockstep | realtime, .drive = DRIVE_REALTIME}
-                             : (app_port_t){.drives = lockstep, .drive = DRIVE_LOCKSTEP};
+    return (app_port_t){
+        .drives = options->realtime ? lockstep | realtime : lockstep,
+        .drive = options->realtime ? DRIVE_REALTIME : DRIVE_LOCKSTEP,
+    };
 }
 
 int main(int argc, char **argv)
@@ -287,6 +289,9 @@ int main(int argc, char **argv)
     }
     stop_on_signals();
     app_init(&process.app, &omnibot, options.node, port_of(&options));
+    if (options.parameters_file != NULL) {
+        app_use_settings(&process.app, &process.settings.memory);
+    }
     if (options.realtime && !start_timer(&process)) {
         return 1;
     }

@@ -120,6 +120,10 @@ void loop_start(loop_t *loop, uint8_t node)
                                     .drive = DRIVE_LOCKSTEP};
     board_start(&loop->board, node);
     app_init(&loop->app, &omnibot, node, port);
+    const settings_memory_t *settings = board_settings(&loop->board);
+    if (settings != NULL) {
+        app_use_settings(&loop->app, settings);
+    }
     loop->measured_at = cycles_now(&loop->board.cycles);
     if (crash_is_there(&board_crash)) {
         app_note_crash(&loop->app, board_crash.facts.pc, board_crash.facts.lr);
