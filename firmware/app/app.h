@@ -62,50 +62,50 @@ typedef struct {
 
 typedef struct {
     const robot_t *robot;
+    const settings_memory_t *settings; // where parameters outlive a reset; NULL: nowhere
     app_port_t port;
     uint8_t node;
     uint8_t mode;    // MODE_…
     uint8_t fault;   // FAULT_… that came first since the last CLEAR
     uint8_t refusal; // REFUSAL_… of the last COMMAND
     uint16_t fault_mask;
-    uint32_t fault_tick[FAULT_COUNT];  // at which each came last
-    uint16_t fault_count[FAULT_COUNT]; // since app_init; stops at its largest value
     uint16_t records_owed;             // a bit a fault: their FAULT_RECORD is due
+    uint16_t fault_count[FAULT_COUNT]; // since app_init; stops at its largest value
+    uint32_t fault_tick[FAULT_COUNT];  // at which each came last
     drops_t drops;
-    bool status_owed;        // one found no room
-    uint16_t missed_ticks;   // since START; stops at its largest value
-    uint16_t overruns;       // periods without a step, by the port; since START; likewise
-    bool peer_matches;       // HELLO brought our protocol hash
-    bool requests_known;     // a request has come since the last HELLO
-    uint8_t request_counter; // of that one
-    uint16_t key;            // that START must carry
-    uint32_t key_state;      // what the next one is made of
-    uint32_t armed_tick;     // of the last ARM
-    bool tick_known;         // a tick has come since START
-    uint32_t tick;           // of the last step: the host's in lockstep, else counted from START
-    bool sync_known;         // a SYNC has come since the host's ticks began
-    uint32_t sync_tick;      // of the last SYNC
-    uint32_t sync_age_ticks; // since it, by the port's timer
-    uint16_t overdue_ticks;  // periods that the port says passed without a step, since the last one
-    uint32_t missed_in_row;  // ticks, without one on time between them
-    reading_t pose;          // x1, x2 (m), θ (rad)
-    reading_t wheel_speed;   // rad/s
+    uint16_t missed_ticks;    // since START; stops at its largest value
+    uint16_t overruns;        // periods without a step, by the port; since START; likewise
+    uint16_t overdue_ticks;   // periods that the port says passed without a step, since the last one
+    bool status_owed;         // one found no room
+    bool peer_matches;        // HELLO brought our protocol hash
+    bool requests_known;      // a request has come since the last HELLO
+    uint8_t request_counter;  // of that one
+    bool tick_known;          // a tick has come since START
+    bool sync_known;          // a SYNC has come since the host's ticks began
+    bool located;             // a step has been made since START, from a pose that was read
+    bool health_known;        // what follows of it
+    bool crash_known;         // likewise
+    uint8_t parameter_origin; // ORIGIN_…: where the parameters came from at the start, or were put since
+    uint16_t key;             // that START must carry
+    uint32_t key_state;       // what the next one is made of
+    uint32_t armed_tick;      // of the last ARM
+    uint32_t tick;            // of the last step: the host's in lockstep, else counted from START
+    uint32_t sync_tick;       // of the last SYNC
+    uint32_t sync_age_ticks;  // since it, by the port's timer
+    uint32_t missed_in_row;   // ticks, without one on time between them
+    reading_t pose;           // x1, x2 (m), θ (rad)
+    reading_t wheel_speed;    // rad/s
     trajectory_cursor_t cursor;
-    bool located;        // a step has been made since START, from a pose that was read
     uint32_t advance_us; // of the trajectory's time that a period takes
     braking_t braking;
     control_state_t state;
     parameters_t parameters;
-    const settings_memory_t *settings; // where parameters outlive a reset; NULL: nowhere
-    parameters_t kept;                 // those that the next start finds
-    uint8_t parameter_origin;          // ORIGIN_…: where they came from at the start, or were put since
-    control_params_t control;          // made from the parameters
-    vec3_t torque_Nm;                  // of the last step
+    parameters_t kept;        // those that the next start finds
+    control_params_t control; // made from the parameters
+    vec3_t torque_Nm;         // of the last step
     step_times_t step_times;
     app_health_t health;
-    bool health_known;
     uint32_t crash_pc, crash_lr;
-    bool crash_known;
     frame_t torque_answer; // to the last tick
     frame_t slip_answer;
     store_t store;
