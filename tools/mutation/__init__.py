@@ -1,0 +1,1 @@
+"""Mutation testing of the firmware's C; see tools/mutate."""
