@@ -296,6 +296,12 @@ static void test_valid_segment_is_accepted(void)
     TEST_ASSERT_TRUE(trajectory_segment_is_valid(&segment[0]));
 }
 
+static void test_valid_segment_with_nothing_behind_it_is_accepted(void)
+{
+    const trajectory_segment_t alone = ramp(1000, 0.5f, 1.0f); // a look past its end is an error of the sanitizer's
+    TEST_ASSERT_TRUE(trajectory_segment_is_valid(&alone));
+}
+
 static void test_segment_of_no_duration_is_refused(void)
 {
     segment[0].duration_us = 0;
@@ -364,6 +370,7 @@ int main(void)
     RUN_TEST(test_reference_at_the_end_rests_at_the_last_point);
     RUN_TEST(test_reference_at_the_end_of_an_inner_segment_is_not_at_rest);
     RUN_TEST(test_valid_segment_is_accepted);
+    RUN_TEST(test_valid_segment_with_nothing_behind_it_is_accepted);
     RUN_TEST(test_segment_of_no_duration_is_refused);
     RUN_TEST(test_segment_with_a_bad_coefficient_anywhere_is_refused);
     RUN_TEST(test_segment_with_the_largest_coefficients_is_accepted);

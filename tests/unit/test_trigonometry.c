@@ -132,6 +132,19 @@ static void test_rotation_of_negative_zero_and_subnormal_is_the_identity(void)
 
 // ---- rotation_to_body
 
+static void test_turned_rotation_by_a_small_angle_stays_below_the_promised_error(void)
+{
+    for (int32_t heading = -31; heading <= 31; heading++) {
+        const float from = 0.1f * (float)heading;
+        for (int32_t i = -20; i <= 20; i++) {
+            const double angle = 0.005 * i, promised = fabs(angle * angle * angle) / 6.0 + 3e-7;
+            const rotation_t turned = rotation_turned(rotation_of(from), (float)angle);
+            assert_below(promised, fabs((double)turned.cosine - cos((double)from + angle)), from);
+            assert_below(promised, fabs((double)turned.sine - sin((double)from + angle)), from);
+        }
+    }
+}
+
 static void test_to_body_at_zero_heading_changes_nothing(void)
 {
     const vec3_t body = rotation_to_body(rotation_of(0.0f), (vec3_t){1.0f, 2.0f, 3.0f});
@@ -234,6 +247,7 @@ int main(void)
     RUN_TEST(test_rotation_of_quarter_turns_has_the_right_signs);
     RUN_TEST(test_rotation_of_tiny_angle_keeps_it);
     RUN_TEST(test_rotation_of_negative_zero_and_subnormal_is_the_identity);
+    RUN_TEST(test_turned_rotation_by_a_small_angle_stays_below_the_promised_error);
     RUN_TEST(test_to_body_at_zero_heading_changes_nothing);
     RUN_TEST(test_to_body_facing_left_sees_world_x_on_its_right);
     RUN_TEST(test_to_body_facing_left_sees_world_y_ahead);
