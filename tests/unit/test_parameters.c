@@ -222,6 +222,24 @@ static void test_control_order_reaches_the_largest_that_control_knows(void)
     assert_refused(PARAMETER_ORDER, (float)(CONTROL_OBSERVER + 1));
 }
 
+static void test_control_compliance_is_epsilon_over_the_robots_own_stiffness(void)
+{
+    robot_t softer = omnibot;
+    softer.normalised_compliance_per_N = 4.0f; // 1/G0
+    assert_taken(PARAMETER_EPSILON, 0.25f);
+    assert_same(1.0f, parameters_for_control(&parameters, &softer).floor.compliance_per_N);
+}
+
+static void test_control_is_prepared_with_what_was_set(void)
+{
+    assert_taken(PARAMETER_SERIES_RATIO_MAX, 0.3f);
+    assert_taken(PARAMETER_POSITION_DAMPING_PER_S, 10.0f);
+    // Where ρ = c K2 m/1.5 reaches its bound, m = 1.903 kg.
+    const float most = 0.3f * 1.5f / (10.0f * 1.903f);
+    TEST_ASSERT_FLOAT_WITHIN(1e-6f * most, most,
+                             parameters_for_control(&parameters, &omnibot).compliance_max_mps_per_N);
+}
+
 int main(void)
 {
     UNITY_BEGIN();
@@ -238,5 +256,7 @@ int main(void)
     RUN_TEST(test_control_gets_each_parameter_in_its_place);
     RUN_TEST(test_control_defaults_choose_posture_and_the_magic_formula);
     RUN_TEST(test_control_order_reaches_the_largest_that_control_knows);
+    RUN_TEST(test_control_compliance_is_epsilon_over_the_robots_own_stiffness);
+    RUN_TEST(test_control_is_prepared_with_what_was_set);
     return UNITY_END();
 }
