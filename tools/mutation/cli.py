@@ -103,20 +103,34 @@ def with_all_mutants(survey: Survey) -> dict[str, bytes]:
     return texts
 
 
+def try_constant(project: Project, tests: Sequence[trial.Measured]) -> trial.Verdict:
+    """Judge the mutant that stands in the tree, building one test after the other until one kills it."""
+    for measured in tests:
+        try:
+            project.make(measured.test)
+        except MutationError:
+            return trial.Verdict("invalid")
+        verdict = trial.judge([measured], None)
+        if verdict.outcome != "survived":
+            return verdict
+    return trial.Verdict("survived")
+
+
 def try_constants(
     project: Project, survey: Survey, numbers: Sequence[int], tests: Sequence[trial.Measured]
 ) -> dict[int, trial.Verdict]:
-    """Judge the mutants that the compiler must see, with a build for each."""
+    """Judge the mutants that the compiler must see, in the tests that run anything of their file."""
     verdicts = {}
     for number in numbers:
         file, mutant = survey.changes[number].file, survey.mutants[number]
-        project.copy({file: mutated((survey.root / file).read_bytes(), mutant)})
-        try:
-            project.make()
-        except MutationError:
-            verdicts[number] = trial.Verdict("invalid")
-        else:
-            verdicts[number] = trial.judge(trial.order(tests, file), None)
+        beside = [
+            n for n, change in survey.changes.items() if change.file == file and not survey.mutants[n].is_constant
+        ]
+        near = [t for t in tests if not beside or any(t.reaches(n) for n in beside)]
+        source = (survey.root / file).read_bytes()
+        project.put(file, mutated(source, mutant))
+        verdicts[number] = try_constant(project, trial.order(near, file))
+        project.put(file, source)
     return verdicts
 
 

@@ -91,9 +91,14 @@ class Project:
         write(self._header, HEADER.encode())
         run(["clang", "-O1", "-c", str(source), "-o", str(self._runtime)], self.root)
 
-    def make(self) -> None:
-        """Build the tests."""
-        run(["ninja", "-C", self.build, f"{self._tests}/all"], self.root)
+    def put(self, file: str, text: bytes) -> None:
+        """Put a text in place of a file's."""
+        write(self.tree / file, text)
+
+    def make(self, test: Test | None = None) -> None:
+        """Build a test, or all."""
+        target = f"{self._tests}/all" if test is None else str(Path(test.command[0]).relative_to(self.build))
+        run(["ninja", "-C", self.build, target], self.root)
 
     def tests(self) -> list[Test]:
         """Return the tests that CMake has registered."""
