@@ -186,7 +186,7 @@ def test_tests_without_assertions_score_nothing(tmp_path: Path) -> None:
     done, shown = result(make(tmp_path, test=CALLING, argued=BOUNDARY))
     assert done == 1
     assert shown["score"] == 0.0
-    assert "the score is 0.0 %, below 90 %" in shown["wrong"]
+    assert f"the score of {tmp_path / 'src'} is 0.0 %, below 90 %" in shown["wrong"]
 
 
 def test_survivor_that_is_not_argued_fails_and_is_shown_with_its_place(tmp_path: Path) -> None:

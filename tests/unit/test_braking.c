@@ -74,10 +74,13 @@ static void test_braking_in_a_bend_that_leaves_too_little_uses_a_quarter(void)
 
 static void test_braking_of_what_is_too_fast_for_its_acceleration_takes_two_seconds(void)
 {
-    TEST_ASSERT_FLOAT_WITHIN(1e-3f, -0.5f,
-                             (float)rate_change(1.0, 1.5, (vec3_t){10.0f, 0.0f, 0.0f}, (vec3_t){0.0f, 0.0f, 0.0f}));
-    TEST_ASSERT_FLOAT_WITHIN(1e-3f, -0.6f,
-                             (float)rate_change(1.0, 1.5, (vec3_t){2.5f, 0.0f, 0.0f}, (vec3_t){0.0f, 0.0f, 0.0f}));
+    const struct {
+        float speed_mps, change_per_s;
+    } expected[] = {{2.5f, -0.6f}, {3.5f, -0.5f}, {5.0f, -0.5f}, {10.0f, -0.5f}};
+    for (int i = 0; i < 4; i++) {
+        const vec3_t velocity = {expected[i].speed_mps, 0.0f, 0.0f}, straight = {0.0f, 0.0f, 0.0f};
+        TEST_ASSERT_FLOAT_WITHIN(1e-3f, expected[i].change_per_s, (float)rate_change(1.0, 1.5, velocity, straight));
+    }
 }
 
 // ---- what becomes of the reference

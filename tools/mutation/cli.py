@@ -9,7 +9,7 @@ Score: the killed of all but those of which a compiler makes the same machine co
 Survivors that are argued in tests/mutation/survivors.toml count as survivors.
 
 Exit status 1 if a mutant survives that is not argued, if an argued one is killed, equivalent or no longer there, or if
-the score of a run over everything is below --at-least.
+the score of a PATH in a run over everything is below --at-least.
 """
 
 from __future__ import annotations
@@ -41,10 +41,10 @@ KILLED = {"failed", "crashed", "timeout"}
 
 @dataclass
 class Survey:
-    """The mutants of some files: those by number, what they look like, and what became of those that were tried."""
+    """The mutants of what was asked for: by number, what they look like, and what became of those that were tried."""
 
     root: Path
-    files: list[str]
+    paths: dict[str, list[str]]  # as they were given, and the files in each
     mutants: dict[int, Mutant]
     changes: dict[int, argued.Change]
     verdicts: dict[int, trial.Verdict] = field(default_factory=dict)
@@ -58,6 +58,11 @@ class Survey:
         """Return the mutants of which this became."""
         return [n for n, verdict in self.verdicts.items() if verdict.outcome in outcomes]
 
+    def part(self, files: Sequence[str]) -> Survey:
+        """Return what became of the mutants of some files."""
+        verdicts = {n: v for n, v in self.verdicts.items() if self.changes[n].file in files}
+        return Survey(self.root, {}, self.mutants, self.changes, verdicts)
+
     @property
     def score(self) -> float:
         """Killed over all that are a change; 1 if there are none."""
@@ -65,21 +70,18 @@ class Survey:
         return killed / (killed + alive) if killed + alive else 1.0
 
 
-def chosen_files(root: Path, paths: Sequence[str], known: Sequence[str]) -> list[str]:
-    """Return the C files that are asked for."""
-    files: list[str] = []
-    for path in paths:
-        name = os.path.relpath(Path(path).resolve(), root)
-        found = [f for f in known if f.endswith((".c", ".h")) and (f == name or f.startswith(f"{name}/"))]
-        if not found:
-            raise MutationError(f"{path} is no C file of the project, and no folder with one")
-        files += found
-    return sorted(set(files))
+def chosen_files(root: Path, path: str, known: Sequence[str]) -> list[str]:
+    """Return the C files that a path asks for."""
+    name = os.path.relpath(Path(path).resolve(), root)
+    files = [f for f in known if f.endswith((".c", ".h")) and (f == name or f.startswith(f"{name}/"))]
+    if not files:
+        raise MutationError(f"{path} is no C file of the project, and no folder with one")
+    return sorted(files)
 
 
-def find_mutants(project: Project, files: Sequence[str]) -> Survey:
+def find_mutants(project: Project, paths: dict[str, list[str]]) -> Survey:
     """Return every mutant of the files."""
-    texts = Texts()
+    texts, files = Texts(), {file for part in paths.values() for file in part}
     found: list[Mutant] = []
     mutator = Mutator({str(project.root / file) for file in files}, texts)
     folders = {str(Path(file).parent) for file in files}
@@ -91,7 +93,7 @@ def find_mutants(project: Project, files: Sequence[str]) -> Survey:
         raise MutationError(f"there are {len(mutants)} mutants, more than {MUTANTS_MAX}: give fewer files")
     names = {n: os.path.relpath(m.file, project.root) for n, m in mutants.items()}
     changes = {n: argued.change(texts[m.file], m, names[n]) for n, m in mutants.items()}
-    return Survey(project.root, list(files), mutants, changes)
+    return Survey(project.root, paths, mutants, changes)
 
 
 def with_all_mutants(survey: Survey) -> dict[str, bytes]:
@@ -156,13 +158,15 @@ def complaints(survey: Survey, reasons: dict[argued.Change, str], at_least: floa
     survivors = {survey.changes[n] for n in survey.numbers("survived")}
     gone = {survey.changes[n]: f"is {v.outcome}, not survived" for n, v in survey.verdicts.items()}
     gone = {change: what for change, what in gone.items() if change not in survivors}
-    here = [change for change in reasons if change.file in survey.files]
+    here = [change for change in reasons if any(change.file in files for files in survey.paths.values())]
     found = [f"argued survivor, {line}" for line in argued.stale(here, set(survey.changes.values()), gone)]
     unargued = [n for n in survey.numbers("survived") if survey.changes[n] not in reasons]
     if unargued:
         found.append(f"{len(unargued)} survivors are not argued in {ARGUED}")
-    if at_least is not None and 100 * survey.score < at_least:
-        found.append(f"the score is {100 * survey.score:.1f} %, below {at_least:g} %")
+    for path, files in survey.paths.items():
+        percent = 100 * survey.part(files).score
+        if at_least is not None and percent < at_least:
+            found.append(f"the score of {path} is {percent:.1f} %, below {at_least:g} %")
     return found
 
 
@@ -189,12 +193,12 @@ def print_report(survey: Survey, reasons: dict[argued.Change, str]) -> None:
         if change in reasons:
             print(f"    {reasons[change]}")
     print("file                                     mutants  killed  survived  equivalent  score")
-    for file in [*sorted({change.file for change in survey.changes.values()}), "all"]:
-        part = Survey(survey.root, [], {}, {})
-        part.verdicts = {n: v for n, v in survey.verdicts.items() if file in {"all", survey.changes[n].file}}
+    single = {change.file: [change.file] for change in sorted(survey.changes.values())}
+    for name, files in {**single, **{path: files for path, files in survey.paths.items() if len(files) > 1}}.items():
+        part = survey.part(files)
         if part.verdicts:
             killed, alive, same = (len(part.numbers(*o)) for o in (KILLED, ["survived"], ["equivalent"]))
-            print(f"{file:40} {len(part.verdicts):7} {killed:7} {alive:9} {same:11} {100 * part.score:5.1f} %")
+            print(f"{name:40} {len(part.verdicts):7} {killed:7} {alive:9} {same:11} {100 * part.score:5.1f} %")
 
 
 def arguments(words: Sequence[str] | None) -> argparse.Namespace:
@@ -223,11 +227,12 @@ def run(asked: argparse.Namespace) -> int:
     """Do what is asked for."""
     root = asked.root.resolve()
     project = Project(root, root / "build" / "mutation")
-    files = chosen_files(root, asked.path, project.files())
+    known = project.files()
+    paths = {path: chosen_files(root, path, known) for path in asked.path}
     reasons = argued.read(root / ARGUED)
     project.copy({})
     project.configure()
-    survey = find_mutants(project, files)
+    survey = find_mutants(project, paths)
     if asked.list:
         for number, change in survey.changes.items():
             print(f"{change.file}:{survey.line(number)}: {change.function}: {change.line} -> {change.mutant}")
