@@ -16,6 +16,7 @@ from mutation.project import Test
 
 WALL_LIMIT_S = 300.0  # a test that waits for something, which none does
 LEAST_LIMIT_S, LIMIT_FACTOR = 0.5, 10.0
+QUICK_S = 0.2  # a test that takes longer waits until the others have had their try
 SIGVTALRM = 26
 
 
@@ -67,7 +68,7 @@ def measure(test: Test, work: Path) -> Measured:
 
 def order(tests: Iterable[Measured], file: str) -> list[Measured]:
     """Return the tests in the order in which they are likely to kill a mutant of a file soon."""
-    return sorted(tests, key=lambda t: (t.test.name != Path(file).stem, t.time_s))
+    return sorted(tests, key=lambda t: (t.time_s > QUICK_S, t.test.name != Path(file).stem, t.time_s))
 
 
 def judge(tests: Iterable[Measured], number: int | None) -> Verdict:
