@@ -87,8 +87,8 @@ static decode_result_t on_sync(app_t *app, const frame_t *frame)
     return result;
 }
 
-/// Motion takes two steps: ARM is answered by a key that was never used before, and START must bring it. So no single
-/// frame, repeated or made by chance, can start it, nor a recording of an earlier start.
+/// Motion takes two steps: ARM is answered by a new key, and START must bring it. So no single frame, repeated or made by
+/// chance, can start it; and a recording of a start does so once in 65536 times where the port stirs the keys.
 static uint8_t arm(app_t *app)
 {
     if (app->mode != MODE_IDLE) {
@@ -100,9 +100,9 @@ static uint8_t arm(app_t *app)
     if (app->store.segment_count == 0) {
         return REFUSAL_NO_TRAJECTORY;
     }
-    app->key_state = app->key_state * 1664525u + 1013904223u; // the upper half of such a sequence repeats after 2^32
-    app->key = (uint16_t)(app->key_state >> 16);
-    app->armed_tick = app->tick;
+    app->key_state = app->key_state * 1664525u + 1013904223u;
+    app->key = (uint16_t)(app->key_state >> 16); // the lower bits of such a sequence repeat soon
+    app->key_age_ticks = 0;
     app->mode = mode_after(app->mode, EVENT_ARM);
     const challenge_message_t challenge = {.key = app->key, .ticks = APP_KEY_TICKS};
     frame_t frame;

@@ -88,7 +88,7 @@ typedef struct {
     uint8_t parameter_origin; // ORIGIN_…: where the parameters came from at the start, or were put since
     uint16_t key;             // that START must carry
     uint32_t key_state;       // what the next one is made of
-    uint32_t armed_tick;      // of the last ARM
+    uint32_t key_age_ticks;   // since the last ARM
     uint32_t tick;            // of the last step: the host's in lockstep, else counted from START
     uint32_t sync_tick;       // of the last SYNC
     uint32_t sync_age_ticks;  // since it, by the port's timer
@@ -132,8 +132,8 @@ void app_tick(app_t *app);
 /// So many periods have passed without a step; to be told before the next app_tick, which moves time on by them.
 void app_note_overrun(app_t *app, uint32_t periods);
 
-/// Something that nobody can foresee, such as a clock's finest bits: goes into the key of the next ARM. Without it the
-/// keys are the same after every start, as a run that is to be repeated wants it.
+/// Something that nobody can foresee, such as a clock's finest bits, before a frame is received: goes into the key of the
+/// next ARM. Without it the keys are the same after every start, as a run that is to be repeated wants it.
 void app_stir(app_t *app, uint32_t bits);
 
 /// Wheel speeds by the port's encoders, before app_tick; taken in DRIVE_MOTORS. Those that no wheel has are none.

@@ -159,6 +159,7 @@ static void advance_to(app_t *app, uint32_t tick)
     }
     reading_age(&app->pose, ticks);
     reading_age(&app->wheel_speed, ticks);
+    app->key_age_ticks = counter_sum(app->key_age_ticks, ticks);
     app->tick = tick;
     app->tick_known = true;
 }
@@ -166,7 +167,7 @@ static void advance_to(app_t *app, uint32_t tick)
 /// What ends by time alone: the key of ARM, and braking.
 static void check_time(app_t *app)
 {
-    if (app->mode == MODE_ARMED && app->tick - app->armed_tick >= APP_KEY_TICKS) {
+    if (app->mode == MODE_ARMED && app->key_age_ticks >= APP_KEY_TICKS) {
         report_event(app, EVENT_LAPSE);
     }
     if (app->mode == MODE_STOPPING && braking_is_over(&app->braking)) {

@@ -381,6 +381,28 @@ static void test_wheels_push_to_the_side_where_the_path_is(void)
     TEST_ASSERT_EQUAL_HEX32(4, directions & 5u); // 1 backwards, 3 forwards
 }
 
+static uint16_t key_after(uint32_t more_cycles)
+{
+    frame_t frame;
+    power_on();
+    start();
+    cycles += more_cycles;
+    hello_encode(&frame, NODE, &(hello_message_t){PROTOCOL_HASH});
+    host_sends(&frame);
+    upload();
+    command(OPERATION_ARM);
+    TEST_ASSERT_EQUAL_UINT8(MODE_ARMED, loop.app.mode);
+    return loop.app.key;
+}
+
+/// So that a recording of an earlier start does not start the robot.
+static void test_key_of_arm_comes_of_the_cycle_counter(void)
+{
+    const uint16_t key = key_after(0);
+    TEST_ASSERT_NOT_EQUAL(key, key_after(1));
+    TEST_ASSERT_NOT_EQUAL(key, key_after(1000));
+}
+
 static void test_motors_stay_off_in_lockstep(void)
 {
     frame_t frame;
@@ -629,6 +651,7 @@ int main(void)
     RUN_TEST(test_reset_is_asked_for_after_all_else_is_written);
     RUN_TEST(test_motors_are_driven_after_use_motors_and_start);
     RUN_TEST(test_wheels_push_to_the_side_where_the_path_is);
+    RUN_TEST(test_key_of_arm_comes_of_the_cycle_counter);
     RUN_TEST(test_motors_stay_off_in_lockstep);
     RUN_TEST(test_stop_brakes_and_switches_off_at_rest);
     RUN_TEST(test_host_that_falls_silent_stops_the_motors);

@@ -67,7 +67,7 @@ static uint8_t arm(model_t *model)
         return REFUSAL_NO_TRAJECTORY;
     }
     model->mode = MODE_ARMED;
-    model->armed_tick = model->tick;
+    model->armed_ticks = 0;
     return REFUSAL_NONE;
 }
 
@@ -348,9 +348,10 @@ static bool is_gap(model_t *model, uint32_t ticks)
     return (double)model->missed_in_row > (double)model->parameter[PARAMETER_TICK_GAP_MAX];
 }
 
-static void lapse(model_t *model)
+static void lapse(model_t *model, uint32_t ticks)
 {
-    if (model->mode == MODE_ARMED && model->tick - model->armed_tick >= KEY_TICKS) {
+    model->armed_ticks += ticks;
+    if (model->mode == MODE_ARMED && model->armed_ticks >= KEY_TICKS) {
         model->mode = MODE_IDLE;
     }
 }
@@ -364,7 +365,7 @@ model_faults_t model_step(model_t *model, uint32_t tick)
     model->tick_known = true;
     age(&model->pose, ticks);
     age(&model->wheel_speed, ticks);
-    lapse(model);
+    lapse(model, ticks);
     if (!driving) {
         return (model_faults_t){0, 0};
     }

@@ -1345,6 +1345,18 @@ static void test_key_lapses_after_its_ticks(void)
     TEST_ASSERT_EQUAL_UINT8(REFUSAL_WRONG_MODE, got.status.refusal);
 }
 
+static void test_key_of_a_robot_that_counts_ticks_anew_does_not_lapse_at_once(void)
+{
+    make_ready();
+    tick(90000);
+    hello(PROTOCOL_HASH); // ticks begin anew, at any number
+    command(OPERATION_ARM);
+
+    tick(3);
+
+    TEST_ASSERT_EQUAL_UINT8(MODE_ARMED, app.mode);
+}
+
 static void test_armed_robot_takes_neither_parameters_nor_a_trajectory(void)
 {
     make_ready();
@@ -2464,6 +2476,118 @@ static void test_health_and_crash_are_reported_the_crash_once(void)
     TEST_ASSERT_EQUAL(0, got.crashes);
 }
 
+// ---- how soon each fault is found
+
+/// Each makes the cause of a fault be there in the ticks from 1 on, after a good tick 0, one tick a call.
+static void lack_pose(uint32_t k)
+{
+    wheel_speed(0.0f, 0.0f, 0.0f);
+    sync(1000 + k);
+}
+
+static void lack_wheel_speed(uint32_t k)
+{
+    pose(-0.01f, 0.0f, 0.0f);
+    sync(1000 + k);
+}
+
+/// Nothing comes of the ticks before; the one that ends the gap counts those that are missing, not itself.
+static void end_a_gap(uint32_t k)
+{
+    const app_t before = app;
+    tick(1000 + k + 1);
+    if (app.fault == FAULT_NONE) {
+        app = before;
+    }
+}
+
+static void overrun_by(uint32_t k)
+{
+    const app_t before = app;
+    app_note_overrun(&app, k);
+    timer_tick();
+    if (app.fault == FAULT_NONE) {
+        app = before;
+    }
+}
+
+static void fall_silent(uint32_t k)
+{
+    (void)k;
+    timer_tick_alone();
+}
+
+static void sink_supply(uint32_t k)
+{
+    (void)k;
+    app_note_motor_fault(&app, FAULT_SUPPLY);
+}
+
+static void trip_bridge(uint32_t k)
+{
+    (void)k;
+    app_note_motor_fault(&app, FAULT_BRIDGE);
+}
+
+static void stray(uint32_t k)
+{
+    pose(-3.0f, 0.0f, 0.0f);
+    wheel_speed(0.0f, 0.0f, 0.0f);
+    sync(1000 + k);
+}
+
+static void go_bus_off(uint32_t k)
+{
+    (void)k;
+    app_note_health(&app, &(app_health_t){.can_state = CAN_STATE_BUS_OFF});
+}
+
+/// Gains and a segment as large as they may be are more than single precision holds.
+static void make_endless(uint32_t k)
+{
+    app.store.segment[0].coefficient[0][7] = INFINITY; // no upload can do this
+    tick(1000 + k);
+}
+
+static void lose_parameters(uint32_t k)
+{
+    (void)k;
+    memset(pages, 0x5A, sizeof pages);
+    app_use_settings(&app, &memory);
+}
+
+static void test_each_fault_is_found_after_the_ticks_that_its_table_says(void)
+{
+    static const struct {
+        void (*make)(void);
+        void (*cause)(uint32_t k);
+    } of_fault[FAULT_COUNT] = {
+        [FAULT_STALE_POSE] = {make_moving, lack_pose},
+        [FAULT_STALE_WHEEL_SPEED] = {make_moving, lack_wheel_speed},
+        [FAULT_TICK_GAP] = {make_moving, end_a_gap},
+        [FAULT_NOT_FINITE] = {make_moving, make_endless},
+        [FAULT_OVERRUN] = {make_realtime, overrun_by},
+        [FAULT_HOST_SILENT] = {make_motors_run, fall_silent},
+        [FAULT_SUPPLY] = {make_motors_run, sink_supply},
+        [FAULT_BRIDGE] = {make_motors_run, trip_bridge},
+        [FAULT_ERROR_LIMIT] = {make_moving, stray},
+        [FAULT_BUS_OFF] = {make_motors_run, go_bus_off},
+        [FAULT_PARAMETERS_LOST] = {make_ready, lose_parameters},
+    };
+    for (uint8_t fault = 1; fault < FAULT_COUNT; fault++) {
+        setUp();
+        of_fault[fault].make();
+        uint32_t ticks = 0;
+        while (app.fault == FAULT_NONE && ticks < 1000) {
+            of_fault[fault].cause(++ticks);
+        }
+        TEST_ASSERT_EQUAL_UINT8(fault, app.fault);
+        const bool brakes = fault_table[fault].reaction == REACTION_BRAKE;
+        TEST_ASSERT_EQUAL_UINT8(brakes ? MODE_STOPPING : MODE_FAULT, app.mode);
+        TEST_ASSERT_EQUAL_UINT32(fault_table[fault].detection_ticks, ticks - (fault_table[fault].detection_ticks == 0));
+    }
+}
+
 int main(void)
 {
     UNITY_BEGIN();
@@ -2533,6 +2657,7 @@ int main(void)
     RUN_TEST(test_start_of_an_earlier_arming_is_refused);
     RUN_TEST(test_key_is_another_for_what_was_stirred_in);
     RUN_TEST(test_key_lapses_after_its_ticks);
+    RUN_TEST(test_key_of_a_robot_that_counts_ticks_anew_does_not_lapse_at_once);
     RUN_TEST(test_armed_robot_takes_neither_parameters_nor_a_trajectory);
     RUN_TEST(test_command_repeated_is_a_replay);
     RUN_TEST(test_command_after_two_lost_ones_is_taken_and_after_three_not);
@@ -2543,6 +2668,7 @@ int main(void)
     RUN_TEST(test_sensor_frame_with_any_bit_flipped_is_not_taken);
     RUN_TEST(test_frames_under_the_robots_own_identifiers_are_counted);
     RUN_TEST(test_fault_is_recorded_with_its_tick_reaction_and_count);
+    RUN_TEST(test_each_fault_is_found_after_the_ticks_that_its_table_says);
     RUN_TEST(test_error_beyond_its_limit_cuts_the_torque);
     RUN_TEST(test_bus_off_while_driving_brakes);
     RUN_TEST(test_bus_off_of_a_robot_at_rest_is_no_fault);

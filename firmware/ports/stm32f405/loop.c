@@ -104,6 +104,7 @@ static bool serve_frame(loop_t *loop)
     }
     const uint32_t begin = cycles_now(&loop->board.cycles);
     const bool is_step = !is_paced_by_timer(loop) && frame.id >> FRAME_NODE_BITS == SYNC_FUNCTION;
+    app_stir(&loop->app, begin);
     app_receive(&loop->app, &frame);
     if (is_step) {
         (void)send_frames(loop);
