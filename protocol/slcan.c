@@ -100,8 +100,8 @@ bool slcan_put(slcan_t *slcan, const frame_t *frame)
         return false;
     }
     push(slcan, 't');
-    for (uint8_t digit = ID_DIGITS; digit > 0; digit--) {
-        push(slcan, hex_digit((uint32_t)frame->id >> (4u * (digit - 1u))));
+    for (uint32_t shift = 4u * ID_DIGITS; shift > 0u; shift -= 4u) {
+        push(slcan, hex_digit((uint32_t)frame->id >> (shift - 4u)));
     }
     push(slcan, hex_digit(frame->length));
     for (uint8_t i = 0; i < frame->length; i++) {
@@ -174,6 +174,7 @@ static void act_on_letter(slcan_t *slcan, char letter)
         break;
     default:
         answer_whether(slcan, false);
+        break;
     }
 }
 
@@ -219,7 +220,8 @@ bool slcan_feed(slcan_t *slcan, uint8_t byte, frame_t *frame)
         return is_frame;
     }
     if (slcan->line_chars < SLCAN_LINE_CHARS) {
-        slcan->line[slcan->line_chars++] = (char)byte;
+        slcan->line[slcan->line_chars] = (char)byte;
+        slcan->line_chars++;
     } else {
         slcan->spoilt = true;
     }

@@ -52,14 +52,14 @@ static inline int32_t wire_sign_extend(uint32_t raw, uint32_t sign_bit)
 static inline float wire_float(uint32_t bits)
 {
     float value;
-    memcpy(&value, &bits, sizeof value);
+    (void)memcpy(&value, &bits, sizeof value);
     return value;
 }
 
 static inline uint32_t wire_float_bits(float value)
 {
     uint32_t bits;
-    memcpy(&bits, &value, sizeof bits);
+    (void)memcpy(&bits, &value, sizeof bits);
     return bits;
 }
 

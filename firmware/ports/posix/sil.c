@@ -196,8 +196,8 @@ static bool serve_timer(process_t *process)
 /// at the clock.
 static bool serve_once(process_t *process)
 {
-    struct pollfd wanted[] = {{.fd = process->socket, .events = POLLIN},
-                              {.fd = process->timer.handle, .events = POLLIN}};
+    struct pollfd wanted[2] = {{.fd = process->socket, .events = POLLIN},
+                               {.fd = process->timer.handle, .events = POLLIN}};
     if (poll(wanted, 2, 200) < 0) {
         return errno == EINTR;
     }

@@ -28,7 +28,8 @@ static void take(adc_t *adc, float voltage_V)
 void adc_tick(adc_t *adc)
 {
     if ((reg_read(&adc->registers->sr) & ADC_SR_EOC) != 0) {
-        take(adc, (float)(reg_read(&adc->registers->dr) & 0xFFFu) * adc->wiring.volt_per_bit);
+        const uint32_t reading = reg_read(&adc->registers->dr) & 0xFFFu;
+        take(adc, (float)reading * adc->wiring.volt_per_bit);
     }
     reg_write(&adc->registers->cr2, ADC_CR2_ADON | ADC_CR2_SWSTART);
 }

@@ -116,7 +116,7 @@ void board_start(board_t *board, uint8_t node)
     start_lines(board, node);
     start_interrupts();
     start_tick(board->clock.core_Hz, omnibot.control_period_us);
-    watchdog_start(&iwdg);
+    (void)watchdog_start(&iwdg);
 }
 
 // ---- a period

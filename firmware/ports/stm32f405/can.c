@@ -13,6 +13,8 @@ static_assert(TS1 <= 16 && TS2 <= 8 && SJW <= 4 && SJW <= TS2 && PRESCALER <= 10
 #define INITIALISATION_POLLS WAIT_POLLS(1000, 168)
 
 enum { SET_UP_FILTERS = 3 };
+#define SET_UP_BANKS (((1u << (uint32_t)SET_UP_FILTERS) - 1u) << 1) // bank 0 is the control loop's
+#define BANKS_IN_USE (SET_UP_BANKS | 1u)
 
 // ---- set-up
 
@@ -29,14 +31,14 @@ static void set_filters(can_registers_t *registers, uint8_t node)
     reg_set(&registers->fmr, CAN_FMR_FINIT);
     reg_write(&registers->fa1r, 0);
     reg_write(&registers->fm1r, 0); // identifier and mask
-    reg_write(&registers->fs1r, (1u << (1 + SET_UP_FILTERS)) - 1u);
-    reg_write(&registers->ffa1r, ((1u << SET_UP_FILTERS) - 1u) << 1);
+    reg_write(&registers->fs1r, BANKS_IN_USE);
+    reg_write(&registers->ffa1r, SET_UP_BANKS);
     set_filter(registers, 0, node, 0x700u | FRAME_NODE_MASK);
     for (uint32_t bank = 1; bank <= SET_UP_FILTERS; bank++) {
         const uint16_t highest = (uint16_t)(0x800u >> bank); // the highest bit that is set: 0x400, 0x200, 0x100
         set_filter(registers, bank, highest | node, (uint16_t)((0x800u - highest) | FRAME_NODE_MASK));
     }
-    reg_write(&registers->fa1r, (1u << (1 + SET_UP_FILTERS)) - 1u);
+    reg_write(&registers->fa1r, BANKS_IN_USE);
     reg_clear(&registers->fmr, CAN_FMR_FINIT);
 }
 
@@ -84,11 +86,11 @@ static uint32_t mailbox_for(const can_t *can, uint16_t id)
 {
     uint32_t chosen = CAN_MAILBOXES;
     for (uint32_t mailbox = 0; mailbox < CAN_MAILBOXES; mailbox++) {
-        if (is_free(can, mailbox)) {
-            chosen = mailbox;
-        } else if (can->pending_id[mailbox] == id) {
+        const bool free = is_free(can, mailbox);
+        if (!free && can->pending_id[mailbox] == id) {
             return CAN_MAILBOXES;
         }
+        chosen = free ? mailbox : chosen;
     }
     return chosen;
 }
@@ -102,7 +104,7 @@ static void fill(can_mailbox_registers_t *mailbox, const frame_t *frame)
 {
     reg_write(&mailbox->dtr, frame->length);
     reg_write(&mailbox->dlr, word_of(frame->data));
-    reg_write(&mailbox->dhr, word_of(frame->data + 4));
+    reg_write(&mailbox->dhr, word_of(&frame->data[4]));
     reg_write(&mailbox->ir, CAN_IR_STID(frame->id) | CAN_IR_TXRQ);
 }
 

@@ -12,7 +12,7 @@
 static uint32_t crc_of(const crash_facts_t *facts)
 {
     uint8_t byte[sizeof *facts];
-    memcpy(byte, facts, sizeof byte);
+    (void)memcpy(byte, facts, sizeof byte);
     uint32_t crc = CRC32_START;
     for (uint32_t i = 0; i < sizeof byte; i++) {
         crc = crc32_update(crc, byte[i]);

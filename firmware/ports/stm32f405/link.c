@@ -103,7 +103,7 @@ bool link_flush(link_t *link)
         if (!slcan_next(&link->slcan, &byte)) {
             break;
         }
-        usart_send(link->usart, byte);
+        (void)usart_send(link->usart, byte);
     }
     return link->holding && (link->line == LINE_CAN || link->slcan.channel != SLCAN_CLOSED);
 }

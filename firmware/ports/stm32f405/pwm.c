@@ -32,7 +32,8 @@ void pwm_disable(pwm_t *pwm)
 
 void pwm_set(pwm_t *pwm, uint32_t channel, float share)
 {
-    reg_write(&pwm->timer->ccr[channel], (uint32_t)(share * (float)pwm->period + 0.5f));
+    const float counts = share * (float)pwm->period + 0.5f;
+    reg_write(&pwm->timer->ccr[channel], (uint32_t)counts);
 }
 
 bool pwm_has_tripped(const pwm_t *pwm)

@@ -11,6 +11,8 @@
 #include <stddef.h>
 
 #define RESERVED_WORDS(from, to) (((to) - (from)) / 4u)
+#define BIT(number) ((uint32_t)1u << (number))
+#define FIELD(value, first_bit) ((uint32_t)(value) << (first_bit))
 #define REGISTER_AT(type, member, offset) static_assert(offsetof(type, member) == (offset), #type "." #member)
 
 // ---- RM0090 7.3 RCC registers
@@ -30,51 +32,51 @@ REGISTER_AT(rcc_registers_t, apb2enr, 0x44);
 REGISTER_AT(rcc_registers_t, bdcr, 0x70);
 REGISTER_AT(rcc_registers_t, csr, 0x74);
 
-#define RCC_CR_HSION (1u << 0)
-#define RCC_CR_HSIRDY (1u << 1)
-#define RCC_CR_HSEON (1u << 16)
-#define RCC_CR_HSERDY (1u << 17)
-#define RCC_CR_HSEBYP (1u << 18)
-#define RCC_CR_CSSON (1u << 19)
-#define RCC_CR_PLLON (1u << 24)
-#define RCC_CR_PLLRDY (1u << 25)
-#define RCC_PLLCFGR_M(division) ((uint32_t)(division) << 0)
-#define RCC_PLLCFGR_N(multiplier) ((uint32_t)(multiplier) << 6)
-#define RCC_PLLCFGR_P(division) (((uint32_t)(division) / 2u - 1u) << 16) // 2, 4, 6 or 8
-#define RCC_PLLCFGR_SRC_HSE (1u << 22)
-#define RCC_PLLCFGR_Q(division) ((uint32_t)(division) << 24)
-#define RCC_CFGR_SW_MASK (3u << 0)
-#define RCC_CFGR_SW_HSI (0u << 0)
-#define RCC_CFGR_SW_PLL (2u << 0)
-#define RCC_CFGR_SWS_MASK (3u << 2)
-#define RCC_CFGR_SWS_HSI (0u << 2)
-#define RCC_CFGR_SWS_PLL (2u << 2)
-#define RCC_CFGR_HPRE_MASK (15u << 4) // 0: not divided
-#define RCC_CFGR_PPRE1_MASK (7u << 10)
-#define RCC_CFGR_PPRE1_BY_4 (5u << 10)
-#define RCC_CFGR_PPRE2_MASK (7u << 13)
-#define RCC_CFGR_PPRE2_BY_2 (4u << 13)
-#define RCC_CIR_CSSF (1u << 7)
-#define RCC_CIR_CSSC (1u << 23)
-#define RCC_AHB1ENR_GPIO(port) (1u << (uint32_t)(port)) // A is 0
-#define RCC_APB1ENR_TIM2 (1u << 0)
-#define RCC_APB1ENR_TIM3 (1u << 1)
-#define RCC_APB1ENR_TIM4 (1u << 2)
-#define RCC_APB1ENR_TIM5 (1u << 3)
-#define RCC_APB1ENR_CAN1 (1u << 25)
-#define RCC_APB1ENR_PWR (1u << 28)
-#define RCC_APB2ENR_TIM1 (1u << 0)
-#define RCC_APB2ENR_TIM8 (1u << 1)
-#define RCC_APB2ENR_USART1 (1u << 4)
-#define RCC_APB2ENR_ADC1 (1u << 8)
-#define RCC_CSR_RMVF (1u << 24)
-#define RCC_CSR_BORRSTF (1u << 25)
-#define RCC_CSR_PINRSTF (1u << 26)
-#define RCC_CSR_PORRSTF (1u << 27)
-#define RCC_CSR_SFTRSTF (1u << 28)
-#define RCC_CSR_IWDGRSTF (1u << 29)
-#define RCC_CSR_WWDGRSTF (1u << 30)
-#define RCC_CSR_LPWRRSTF (1u << 31)
+#define RCC_CR_HSION BIT(0)
+#define RCC_CR_HSIRDY BIT(1)
+#define RCC_CR_HSEON BIT(16)
+#define RCC_CR_HSERDY BIT(17)
+#define RCC_CR_HSEBYP BIT(18)
+#define RCC_CR_CSSON BIT(19)
+#define RCC_CR_PLLON BIT(24)
+#define RCC_CR_PLLRDY BIT(25)
+#define RCC_PLLCFGR_M(division) FIELD(division, 0)
+#define RCC_PLLCFGR_N(multiplier) FIELD(multiplier, 6)
+#define RCC_PLLCFGR_P(division) FIELD((division) / 2u - 1u, 16) // 2, 4, 6 or 8
+#define RCC_PLLCFGR_SRC_HSE BIT(22)
+#define RCC_PLLCFGR_Q(division) FIELD(division, 24)
+#define RCC_CFGR_SW_MASK FIELD(3, 0)
+#define RCC_CFGR_SW_HSI FIELD(0, 0)
+#define RCC_CFGR_SW_PLL FIELD(2, 0)
+#define RCC_CFGR_SWS_MASK FIELD(3, 2)
+#define RCC_CFGR_SWS_HSI FIELD(0, 2)
+#define RCC_CFGR_SWS_PLL FIELD(2, 2)
+#define RCC_CFGR_HPRE_MASK FIELD(15, 4) // 0: not divided
+#define RCC_CFGR_PPRE1_MASK FIELD(7, 10)
+#define RCC_CFGR_PPRE1_BY_4 FIELD(5, 10)
+#define RCC_CFGR_PPRE2_MASK FIELD(7, 13)
+#define RCC_CFGR_PPRE2_BY_2 FIELD(4, 13)
+#define RCC_CIR_CSSF BIT(7)
+#define RCC_CIR_CSSC BIT(23)
+#define RCC_AHB1ENR_GPIO(port) BIT((uint32_t)(port)) // A is 0
+#define RCC_APB1ENR_TIM2 BIT(0)
+#define RCC_APB1ENR_TIM3 BIT(1)
+#define RCC_APB1ENR_TIM4 BIT(2)
+#define RCC_APB1ENR_TIM5 BIT(3)
+#define RCC_APB1ENR_CAN1 BIT(25)
+#define RCC_APB1ENR_PWR BIT(28)
+#define RCC_APB2ENR_TIM1 BIT(0)
+#define RCC_APB2ENR_TIM8 BIT(1)
+#define RCC_APB2ENR_USART1 BIT(4)
+#define RCC_APB2ENR_ADC1 BIT(8)
+#define RCC_CSR_RMVF BIT(24)
+#define RCC_CSR_BORRSTF BIT(25)
+#define RCC_CSR_PINRSTF BIT(26)
+#define RCC_CSR_PORRSTF BIT(27)
+#define RCC_CSR_SFTRSTF BIT(28)
+#define RCC_CSR_IWDGRSTF BIT(29)
+#define RCC_CSR_WWDGRSTF BIT(30)
+#define RCC_CSR_LPWRRSTF BIT(31)
 
 // ---- RM0090 3.9 Flash interface registers
 
@@ -83,22 +85,22 @@ typedef struct {
 } flash_registers_t;
 REGISTER_AT(flash_registers_t, optcr, 0x14);
 
-#define FLASH_ACR_LATENCY_MASK (7u << 0)
-#define FLASH_ACR_PRFTEN (1u << 8)
-#define FLASH_ACR_ICEN (1u << 9)
-#define FLASH_ACR_DCEN (1u << 10)
-#define FLASH_ACR_DCRST (1u << 12)
+#define FLASH_ACR_LATENCY_MASK FIELD(7, 0)
+#define FLASH_ACR_PRFTEN BIT(8)
+#define FLASH_ACR_ICEN BIT(9)
+#define FLASH_ACR_DCEN BIT(10)
+#define FLASH_ACR_DCRST BIT(12)
 #define FLASH_KEY1 0x45670123u
 #define FLASH_KEY2 0xCDEF89ABu
-#define FLASH_SR_EOP (1u << 0)
-#define FLASH_SR_ERRORS (1u << 1 | 15u << 4) // OPERR, WRPERR, PGAERR, PGPERR, PGSERR
-#define FLASH_SR_BSY (1u << 16)
-#define FLASH_CR_PG (1u << 0)
-#define FLASH_CR_SER (1u << 1)
-#define FLASH_CR_SNB(sector) ((uint32_t)(sector) << 3)
-#define FLASH_CR_PSIZE_32 (2u << 8)
-#define FLASH_CR_STRT (1u << 16)
-#define FLASH_CR_LOCK (1u << 31)
+#define FLASH_SR_EOP BIT(0)
+#define FLASH_SR_ERRORS (BIT(1) | FIELD(15, 4)) // OPERR, WRPERR, PGAERR, PGPERR, PGSERR
+#define FLASH_SR_BSY BIT(16)
+#define FLASH_CR_PG BIT(0)
+#define FLASH_CR_SER BIT(1)
+#define FLASH_CR_SNB(sector) FIELD(sector, 3)
+#define FLASH_CR_PSIZE_32 FIELD(2, 8)
+#define FLASH_CR_STRT BIT(16)
+#define FLASH_CR_LOCK BIT(31)
 
 /// A sector of 128 kB, as words (RM0090 3.3, table 5).
 typedef struct {
@@ -112,11 +114,11 @@ typedef struct {
 } pwr_registers_t;
 REGISTER_AT(pwr_registers_t, csr, 0x04);
 
-#define PWR_CR_PVDE (1u << 4)
-#define PWR_CR_PLS_MASK (7u << 5)
-#define PWR_CR_PLS_2V9 (7u << 5)
-#define PWR_CR_VOS (1u << 14) // scale 1: 168 MHz; its value after reset
-#define PWR_CSR_PVDO (1u << 2)
+#define PWR_CR_PVDE BIT(4)
+#define PWR_CR_PLS_MASK FIELD(7, 5)
+#define PWR_CR_PLS_2V9 FIELD(7, 5)
+#define PWR_CR_VOS BIT(14) // scale 1: 168 MHz; its value after reset
+#define PWR_CSR_PVDO BIT(2)
 
 // ---- RM0090 8.4 GPIO registers
 
@@ -141,13 +143,13 @@ typedef struct {
 } adc_common_registers_t;
 REGISTER_AT(adc_common_registers_t, ccr, 0x04);
 
-#define ADC_SR_EOC (1u << 1)
-#define ADC_SR_STRT (1u << 4)
-#define ADC_SR_OVR (1u << 5)
-#define ADC_CR2_ADON (1u << 0)
-#define ADC_CR2_SWSTART (1u << 30)
+#define ADC_SR_EOC BIT(1)
+#define ADC_SR_STRT BIT(4)
+#define ADC_SR_OVR BIT(5)
+#define ADC_CR2_ADON BIT(0)
+#define ADC_CR2_SWSTART BIT(30)
 #define ADC_SMPR_480_CYCLES 7u
-#define ADC_CCR_ADCPRE_BY_4 (1u << 16) // at most 36 MHz
+#define ADC_CCR_ADCPRE_BY_4 BIT(16) // at most 36 MHz
 
 // ---- RM0090 17.4 (TIM1, TIM8) and 18.4 (TIM2 … TIM5) registers: one layout, the latter without rcr and bdtr
 
@@ -163,24 +165,24 @@ REGISTER_AT(timer_registers_t, arr, 0x2C);
 REGISTER_AT(timer_registers_t, ccr, 0x34);
 REGISTER_AT(timer_registers_t, bdtr, 0x44);
 
-#define TIM_CR1_CEN (1u << 0)
-#define TIM_CR1_ARPE (1u << 7)
-#define TIM_SMCR_SMS_ENCODER_BOTH (3u << 0) // counts the edges of both inputs
-#define TIM_SR_BIF (1u << 7)
-#define TIM_EGR_UG (1u << 0)
-#define TIM_CCMR1_CC1S_TI1 (1u << 0)
-#define TIM_CCMR1_IC1F(filter) ((uint32_t)(filter) << 4)
-#define TIM_CCMR1_CC2S_TI2 (1u << 8)
-#define TIM_CCMR1_IC2F(filter) ((uint32_t)(filter) << 12)
+#define TIM_CR1_CEN BIT(0)
+#define TIM_CR1_ARPE BIT(7)
+#define TIM_SMCR_SMS_ENCODER_BOTH FIELD(3, 0) // counts the edges of both inputs
+#define TIM_SR_BIF BIT(7)
+#define TIM_EGR_UG BIT(0)
+#define TIM_CCMR1_CC1S_TI1 BIT(0)
+#define TIM_CCMR1_IC1F(filter) FIELD(filter, 4)
+#define TIM_CCMR1_CC2S_TI2 BIT(8)
+#define TIM_CCMR1_IC2F(filter) FIELD(filter, 12)
 #define TIM_CCMR_PWM1_PRELOAD 0x68u // OCxM = 110: high while below the compare value; OCxPE
-#define TIM_CCER_CC1E (1u << 0)
-#define TIM_CCER_CC2E (1u << 4)
-#define TIM_CCER_CC3E (1u << 8)
-#define TIM_BDTR_OSSI (1u << 10)
-#define TIM_BDTR_OSSR (1u << 11)
-#define TIM_BDTR_BKE (1u << 12)
-#define TIM_BDTR_BKP (1u << 13) // 0: the break input is active low
-#define TIM_BDTR_MOE (1u << 15)
+#define TIM_CCER_CC1E BIT(0)
+#define TIM_CCER_CC2E BIT(4)
+#define TIM_CCER_CC3E BIT(8)
+#define TIM_BDTR_OSSI BIT(10)
+#define TIM_BDTR_OSSR BIT(11)
+#define TIM_BDTR_BKE BIT(12)
+#define TIM_BDTR_BKP BIT(13) // 0: the break input is active low
+#define TIM_BDTR_MOE BIT(15)
 
 // ---- RM0090 21.4 IWDG registers
 
@@ -194,8 +196,8 @@ REGISTER_AT(iwdg_registers_t, sr, 0x0C);
 #define IWDG_KR_START 0xCCCCu
 #define IWDG_PR_BY_4 0u
 #define IWDG_PR_BY_64 4u
-#define IWDG_SR_PVU (1u << 0)
-#define IWDG_SR_RVU (1u << 1)
+#define IWDG_SR_PVU BIT(0)
+#define IWDG_SR_RVU BIT(1)
 
 // ---- RM0090 30.6 USART registers
 
@@ -205,17 +207,17 @@ typedef struct {
 REGISTER_AT(usart_registers_t, brr, 0x08);
 REGISTER_AT(usart_registers_t, cr3, 0x14);
 
-#define USART_SR_PE (1u << 0)
-#define USART_SR_FE (1u << 1)
-#define USART_SR_NF (1u << 2)
-#define USART_SR_ORE (1u << 3)
-#define USART_SR_RXNE (1u << 5)
-#define USART_SR_TXE (1u << 7)
-#define USART_CR1_RE (1u << 2)
-#define USART_CR1_TE (1u << 3)
-#define USART_CR1_RXNEIE (1u << 5)
-#define USART_CR1_TXEIE (1u << 7)
-#define USART_CR1_UE (1u << 13)
+#define USART_SR_PE BIT(0)
+#define USART_SR_FE BIT(1)
+#define USART_SR_NF BIT(2)
+#define USART_SR_ORE BIT(3)
+#define USART_SR_RXNE BIT(5)
+#define USART_SR_TXE BIT(7)
+#define USART_CR1_RE BIT(2)
+#define USART_CR1_TE BIT(3)
+#define USART_CR1_RXNEIE BIT(5)
+#define USART_CR1_TXEIE BIT(7)
+#define USART_CR1_UE BIT(13)
 
 // ---- RM0090 32.9 CAN registers
 
@@ -249,41 +251,41 @@ REGISTER_AT(can_registers_t, ffa1r, 0x214);
 REGISTER_AT(can_registers_t, fa1r, 0x21C);
 REGISTER_AT(can_registers_t, filter, 0x240);
 
-#define CAN_MCR_INRQ (1u << 0)
-#define CAN_MCR_SLEEP (1u << 1)
-#define CAN_MCR_TXFP (1u << 2)
-#define CAN_MCR_RFLM (1u << 3)
-#define CAN_MCR_NART (1u << 4)
-#define CAN_MCR_ABOM (1u << 6)
-#define CAN_MCR_DBF (1u << 16)
-#define CAN_MSR_INAK (1u << 0)
-#define CAN_MSR_SLAK (1u << 1)
-#define CAN_TSR_RQCP(mailbox) (1u << (8u * (mailbox)))
-#define CAN_TSR_TXOK(mailbox) (2u << (8u * (mailbox)))
-#define CAN_TSR_ABRQ(mailbox) (1u << (8u * (mailbox) + 7u))
-#define CAN_TSR_TME(mailbox) (1u << (26u + (mailbox)))
-#define CAN_RFR_FMP_MASK (3u << 0)
-#define CAN_RFR_FULL (1u << 3)
-#define CAN_RFR_FOVR (1u << 4)
-#define CAN_RFR_RFOM (1u << 5)
-#define CAN_IER_FMPIE0 (1u << 1)
-#define CAN_IER_FMPIE1 (1u << 4)
-#define CAN_ESR_EWGF (1u << 0)
-#define CAN_ESR_EPVF (1u << 1)
-#define CAN_ESR_BOFF (1u << 2)
+#define CAN_MCR_INRQ BIT(0)
+#define CAN_MCR_SLEEP BIT(1)
+#define CAN_MCR_TXFP BIT(2)
+#define CAN_MCR_RFLM BIT(3)
+#define CAN_MCR_NART BIT(4)
+#define CAN_MCR_ABOM BIT(6)
+#define CAN_MCR_DBF BIT(16)
+#define CAN_MSR_INAK BIT(0)
+#define CAN_MSR_SLAK BIT(1)
+#define CAN_TSR_RQCP(mailbox) BIT(8u * (mailbox))
+#define CAN_TSR_TXOK(mailbox) FIELD(2, 8u * (mailbox))
+#define CAN_TSR_ABRQ(mailbox) BIT(8u * (mailbox) + 7u)
+#define CAN_TSR_TME(mailbox) BIT(26u + (mailbox))
+#define CAN_RFR_FMP_MASK FIELD(3, 0)
+#define CAN_RFR_FULL BIT(3)
+#define CAN_RFR_FOVR BIT(4)
+#define CAN_RFR_RFOM BIT(5)
+#define CAN_IER_FMPIE0 BIT(1)
+#define CAN_IER_FMPIE1 BIT(4)
+#define CAN_ESR_EWGF BIT(0)
+#define CAN_ESR_EPVF BIT(1)
+#define CAN_ESR_BOFF BIT(2)
 #define CAN_ESR_TEC(word) ((uint8_t)(((word) >> 16) & 0xFFu))
 #define CAN_ESR_REC(word) ((uint8_t)(((word) >> 24) & 0xFFu))
-#define CAN_BTR_BRP(quanta) (((uint32_t)(quanta)-1u) << 0)
-#define CAN_BTR_TS1(quanta) (((uint32_t)(quanta)-1u) << 16)
-#define CAN_BTR_TS2(quanta) (((uint32_t)(quanta)-1u) << 20)
-#define CAN_BTR_SJW(quanta) (((uint32_t)(quanta)-1u) << 24)
-#define CAN_IR_TXRQ (1u << 0)
-#define CAN_IR_RTR (1u << 1)
-#define CAN_IR_IDE (1u << 2)
-#define CAN_IR_STID(id) ((uint32_t)(id) << 21)
+#define CAN_BTR_BRP(quanta) FIELD((quanta)-1u, 0)
+#define CAN_BTR_TS1(quanta) FIELD((quanta)-1u, 16)
+#define CAN_BTR_TS2(quanta) FIELD((quanta)-1u, 20)
+#define CAN_BTR_SJW(quanta) FIELD((quanta)-1u, 24)
+#define CAN_IR_TXRQ BIT(0)
+#define CAN_IR_RTR BIT(1)
+#define CAN_IR_IDE BIT(2)
+#define CAN_IR_STID(id) FIELD(id, 21)
 #define CAN_IR_STID_OF(word) ((uint16_t)((word) >> 21))
-#define CAN_DTR_DLC_MASK (15u << 0)
-#define CAN_FMR_FINIT (1u << 0)
+#define CAN_DTR_DLC_MASK FIELD(15, 0)
+#define CAN_FMR_FINIT BIT(0)
 
 // ---- RM0090 38.16 MCU debug component registers
 
@@ -292,8 +294,8 @@ typedef struct {
 } dbgmcu_registers_t;
 REGISTER_AT(dbgmcu_registers_t, apb2_fz, 0x0C);
 
-#define DBGMCU_APB1_FZ_IWDG_STOP (1u << 12)
-#define DBGMCU_APB2_FZ_TIM8_STOP (1u << 1)
+#define DBGMCU_APB1_FZ_IWDG_STOP BIT(12)
+#define DBGMCU_APB2_FZ_TIM8_STOP BIT(1)
 
 // ---- PM0214 4.5 SysTick
 
@@ -302,9 +304,9 @@ typedef struct {
 } systick_registers_t;
 REGISTER_AT(systick_registers_t, calib, 0x0C);
 
-#define SYSTICK_CTRL_ENABLE (1u << 0)
-#define SYSTICK_CTRL_TICKINT (1u << 1)
-#define SYSTICK_CTRL_CLKSOURCE_CORE (1u << 2)
+#define SYSTICK_CTRL_ENABLE BIT(0)
+#define SYSTICK_CTRL_TICKINT BIT(1)
+#define SYSTICK_CTRL_CLKSOURCE_CORE BIT(2)
 
 // ---- PM0214 4.3 NVIC; the byte-wide priorities as words
 
@@ -333,13 +335,13 @@ REGISTER_AT(scb_registers_t, bfar, 0x38);
 REGISTER_AT(scb_registers_t, cpacr, 0x88);
 REGISTER_AT(scb_registers_t, demcr, 0xFC); // Armv7-M manual, C1.6.5
 
-#define SCB_AIRCR_RESET (0x05FA0000u | (1u << 2)) // the key, SYSRESETREQ
-#define SCB_CCR_DIV_0_TRP (1u << 4)
-#define SCB_SHCSR_MEMFAULTENA (1u << 16)
-#define SCB_SHCSR_BUSFAULTENA (1u << 17)
-#define SCB_SHCSR_USGFAULTENA (1u << 18)
-#define SCB_CPACR_CP10_CP11 (15u << 20)
-#define SCB_DEMCR_TRCENA (1u << 24)
+#define SCB_AIRCR_RESET (0x05FA0000u | BIT(2)) // the key, SYSRESETREQ
+#define SCB_CCR_DIV_0_TRP BIT(4)
+#define SCB_SHCSR_MEMFAULTENA BIT(16)
+#define SCB_SHCSR_BUSFAULTENA BIT(17)
+#define SCB_SHCSR_USGFAULTENA BIT(18)
+#define SCB_CPACR_CP10_CP11 FIELD(15, 20)
+#define SCB_DEMCR_TRCENA BIT(24)
 
 // ---- Armv7-M architecture manual, C1.8: data watchpoint and trace
 
@@ -348,7 +350,7 @@ typedef struct {
 } dwt_registers_t;
 REGISTER_AT(dwt_registers_t, cyccnt, 0x04);
 
-#define DWT_CTRL_CYCCNTENA (1u << 0)
+#define DWT_CTRL_CYCCNTENA BIT(0)
 
 // ---- RM0090 2.3 Memory map: the instances, placed by stm32f405.ld
 

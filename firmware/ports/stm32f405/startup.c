@@ -59,21 +59,26 @@ __attribute__((naked)) void fault_entry(void)
 #define INTERRUPT(number) [EXCEPTION_COUNT + (number)-1]
 
 __attribute__((section(".vectors"), used, aligned(512))) static const vectors_t vectors = {
-    .initial_stack = stack_top,
-    .handler =
-        {
-            EXCEPTION(1) = reset_handler,
-            EXCEPTION(2) = fault_entry, // NMI: the crystal has stopped
-            EXCEPTION(3) = fault_entry,
-            EXCEPTION(4) = fault_entry,
-            EXCEPTION(5) = fault_entry,
-            EXCEPTION(6) = fault_entry,
-            EXCEPTION(EXCEPTION_SYSTICK) = systick_interrupt,
-            INTERRUPT(IRQ_CAN1_RX0) = can1_rx0_interrupt,
-            INTERRUPT(IRQ_CAN1_RX1) = can1_rx1_interrupt,
-            INTERRUPT(IRQ_USART1) = usart1_interrupt,
-        },
+    stack_top,
+    {
+        EXCEPTION(1) = reset_handler,
+        EXCEPTION(2) = fault_entry, // NMI: the crystal has stopped
+        EXCEPTION(3) = fault_entry,
+        EXCEPTION(4) = fault_entry,
+        EXCEPTION(5) = fault_entry,
+        EXCEPTION(6) = fault_entry,
+        EXCEPTION(EXCEPTION_SYSTICK) = systick_interrupt,
+        INTERRUPT(IRQ_CAN1_RX0) = can1_rx0_interrupt,
+        INTERRUPT(IRQ_CAN1_RX1) = can1_rx1_interrupt,
+        INTERRUPT(IRQ_USART1) = usart1_interrupt,
+    },
 };
+
+/// As numbers, since C compares no pointers to two objects, and for C the ends of a section are two.
+static uint32_t words_between(const uint32_t *start, const uint32_t *end)
+{
+    return ((uintptr_t)end - (uintptr_t)start) / sizeof *start;
+}
 
 void reset_handler(void)
 {
@@ -81,11 +86,11 @@ void reset_handler(void)
     reg_write(&scb.vtor, (uint32_t)(uintptr_t)&vectors); // a boot loader leaves its own
     reg_set(&scb.cpacr, SCB_CPACR_CP10_CP11);
     core_synchronise();
-    for (uint32_t i = 0; data_start + i < data_end; i++) {
+    for (uint32_t i = 0; i < words_between(data_start, data_end); i++) {
         data_start[i] = data_image[i];
     }
-    for (uint32_t *word = bss_start; word < bss_end; word++) {
-        *word = 0;
+    for (uint32_t i = 0; i < words_between(bss_start, bss_end); i++) {
+        bss_start[i] = 0;
     }
     (void)main();
 }
