@@ -160,7 +160,7 @@ def main(words: list[str] | None = None) -> int:
             prepare(link, robot, wheel, arguments.torque, arguments.duration)
             use_motors(link)
             sys.stdout.write(f"wheel {wheel} must turn forwards now; torques in N*m:\n")
-            verdict = drive(link, wheel, arguments.duration, lambda torques: _show(torques))
+            verdict = drive(link, wheel, arguments.duration, _show)
     except OmnibotError as error:
         sys.stderr.write(f"wheel_check: {error}\n")
         return 1

@@ -145,7 +145,7 @@ def _at_end(simulator: Simulator, bounds: dict[str, tuple[tuple[str, str], ...]]
 def _table(found: dict[str, dict[str, float]], at_end: dict[str, list[str]]) -> Table:
     rows = [[_name(order), "5·10⁻⁵" if order == "1" else "–"] for order in ORDERS]
     for row, order in zip(rows, ORDERS, strict=True):
-        row += [_text(found[order][bounds]) for bounds in ("off", "on")] + at_end[order]
+        row.extend([_text(found[order][bounds]) for bounds in ("off", "on")] + at_end[order])
     head = ["", "paper ε*", "our ε*, bounds off", "our ε*, bounds on"]
     head += [f"error at ε = {GRID[-1]:g}, bounds {bounds}" for bounds in ("off", "on")]
     return Table("ε* (1/N) at 0.5 m/s, and the largest tracking error at the grid's end", head, rows)

@@ -12,6 +12,7 @@ import threading
 import tty
 from collections.abc import Iterator
 from types import TracebackType
+from typing import Self
 
 from host_sim.inproc import Frame, load_firmware
 from host_sim.robot import ROOT
@@ -65,7 +66,7 @@ class SerialRobot:
         self._stop_read, self._stop_write = os.pipe()
         self._thread = threading.Thread(target=self._serve)
 
-    def __enter__(self) -> "SerialRobot":
+    def __enter__(self) -> Self:
         self._thread.start()
         return self
 

@@ -12,7 +12,7 @@ from host_sim.codec import Codec
 from host_sim.drive import Drive, Status, drive, start_state
 from host_sim.errors import OmnibotError
 from host_sim.inproc import InprocBus
-from host_sim.link import Link
+from host_sim.link import Link, RefusedError
 from host_sim.planner import PathRequest, plan
 from host_sim.plant import Plant
 from host_sim.realtime import drive_in_real_time, histogram, summary
@@ -184,8 +184,6 @@ def test_realtime_needs_a_firmware_that_can(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def _refuse() -> None:
-    from host_sim.link import RefusedError
-
     raise RefusedError("the firmware refused USE_REALTIME: UNABLE (mode IDLE)")
 
 
