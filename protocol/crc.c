@@ -27,7 +27,7 @@ uint8_t crc8_frame(const frame_t *frame, uint8_t length)
 {
     uint32_t crc = crc8_of[0xFFu ^ (frame->id & 0xFFu)];
     crc = crc8_of[crc ^ frame->id >> 8];
-    const uint8_t *const end = frame->data + length;
+    const uint8_t *const end = &frame->data[length];
     for (const uint8_t *byte = frame->data; byte != end; byte++) {
         crc = crc8_of[crc ^ *byte];
     }

@@ -87,8 +87,8 @@ static decode_result_t on_sync(app_t *app, const frame_t *frame)
     return result;
 }
 
-/// Motion takes two steps: ARM is answered by a new key, and START must bring it. So no single frame, repeated or made by
-/// chance, can start it; and a recording of a start does so once in 65536 times where the port stirs the keys.
+/// Motion takes two steps: ARM is answered by a new key, and START must bring it. So no single frame, repeated or made
+/// by chance, can start it; and a recording of a start does so once in 65536 times where the port stirs the keys.
 static uint8_t arm(app_t *app)
 {
     if (app->mode != MODE_IDLE) {
@@ -436,7 +436,7 @@ void app_init(app_t *app, const robot_t *robot, uint8_t node, app_port_t port)
 
 void app_use_settings(app_t *app, const settings_memory_t *memory)
 {
-    static const uint8_t origin[] = {
+    static const uint8_t origin[SETTINGS_LOST + 1] = {
         [SETTINGS_OK] = ORIGIN_KEPT, [SETTINGS_EMPTY] = ORIGIN_DEFAULTS, [SETTINGS_LOST] = ORIGIN_LOST};
     app->settings = memory;
     app->parameter_origin = origin[settings_load(memory, &app->parameters)];

@@ -94,9 +94,11 @@ static control_output_t drive(app_t *app)
     app->located = true;
     if (!control_step(&app->control, &app->state, &input, &output)) {
         faults_raise(app, FAULT_NOT_FINITE);
-    } else if (is_lost(app, output.error)) {
+        return output;
+    }
+    if (is_lost(app, output.error)) {
         faults_raise(app, FAULT_ERROR_LIMIT);
-        output = (control_output_t){0};
+        return (control_output_t){0};
     }
     return output;
 }
@@ -208,7 +210,8 @@ static void confirm(app_t *app, reading_t *reading, uint8_t counter, uint8_t crc
     const reading_verdict_t verdict = reading_confirm(reading, counter, crc);
     if (verdict == READING_OF_ANOTHER_TICK) {
         report_drop(app, &app->drops.replayed);
-    } else if (verdict == READING_DAMAGED) {
+    }
+    if (verdict == READING_DAMAGED) {
         report_drop(app, &app->drops.damaged);
     }
 }

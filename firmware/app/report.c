@@ -139,10 +139,14 @@ void report_due(app_t *app)
         report_status(app);
         send_timing(app);
         send_health(app);
-    } else if (phase == APP_STATUS_EVERY_TICKS / 2) { // the work of a tick stays small
+        return;
+    }
+    if (phase == APP_STATUS_EVERY_TICKS / 2) { // the work of a tick stays small
         send_drops(app);
         app->records_owed = (uint16_t)(app->records_owed | (app->fault == FAULT_NONE ? 0u : 1u << app->fault));
-    } else if (app->records_owed != 0 && app->fault_tick[app->fault] != app->tick) {
+        return;
+    }
+    if (app->records_owed != 0 && app->fault_tick[app->fault] != app->tick) {
         send_owed_record(app);
     }
 }

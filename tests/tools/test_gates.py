@@ -24,13 +24,13 @@ OCTAL = ("protocol/slcan.c", "hex_digit(frame->length)", "hex_digit((uint32_t)fr
 UNSET = ("protocol/slcan.c", "    *value = 0;\n", "")
 NARROW = (
     "protocol/crc.c",
-    "uint8_t crc8_update(",
-    "uint8_t narrow(int);\nuint8_t narrow(int v)\n{\n    return v;\n}\n\nuint8_t crc8_update(",
+    "uint8_t crc8_frame(",
+    "uint8_t narrow(int);\nuint8_t narrow(int v)\n{\n    return v;\n}\n\nuint8_t crc8_frame(",
 )
 COMMA = (
     "protocol/crc.c",
-    "uint8_t crc8_update(",
-    "int comma(int);\nint comma(int v)\n{\n    return v++, v;\n}\n\nuint8_t crc8_update(",
+    "uint8_t crc8_frame(",
+    "int comma(int);\nint comma(int v)\n{\n    return v++, v;\n}\n\nuint8_t crc8_frame(",
 )
 NEVER_RUN = (
     "protocol/slcan.c",

@@ -43,7 +43,7 @@ static uint8_t receive_sensor(app_t *app, const frame_t *frame)
 static sync_message_t receive_sensors(app_t *app, uint32_t tick, const omnibot_sensors_t *sensors)
 {
     const float *x = sensors->pose, *speed = sensors->wheel_speed_rad_per_s;
-    const uint8_t counter = tick & 0xFu;
+    const uint8_t counter = (uint8_t)(tick & 0xFu);
     sync_message_t sync = {.tick = tick};
     frame_t frame;
     pose_encode(&frame, app->node, &(pose_message_t){x[0], x[1], x[2], counter});

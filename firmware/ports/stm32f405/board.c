@@ -79,8 +79,6 @@ static void start_lines(board_t *board, uint8_t node)
     link_init(&board->link, &board->can, &board->usart, node);
 }
 
-enum { SETTINGS_FIRST_SECTOR = 10 }; // settings_sectors of stm32f405.ld
-
 static void start_settings(board_t *board)
 {
     board->flash = (flash_t){
@@ -88,7 +86,7 @@ static void start_settings(board_t *board)
         .watchdog = &iwdg,
         .power = &pwr,
         .sector = settings_sectors,
-        .first_sector = SETTINGS_FIRST_SECTOR,
+        .first_sector = 10, // settings_sectors of stm32f405.ld
     };
     board->settings = flash_memory(&board->flash);
     board->keeps_settings = flash_answers(&flash_interface);
