@@ -260,17 +260,67 @@ model_ack_t model_begin(model_t *model, uint16_t length_bytes, uint32_t crc32)
     return (model_ack_t){true, TRAJECTORY_ACK_RESULT_RECEIVING};
 }
 
-static bool segment_may_be_driven(const uint8_t *byte)
+static float coefficient_at(const uint8_t *segment, int axis, int power)
 {
-    uint32_t duration_us;
-    memcpy(&duration_us, byte, sizeof duration_us);
-    bool good = duration_us != 0;
-    for (int at = 4; at < MODEL_BYTES_PER_SEGMENT; at += 4) {
-        float coefficient;
-        memcpy(&coefficient, &byte[at], sizeof coefficient);
+    float coefficient;
+    memcpy(&coefficient, &segment[4 + 32 * axis + 4 * power], sizeof coefficient);
+    return coefficient;
+}
+
+static bool coefficients_may_be_driven(const uint8_t *segment)
+{
+    bool good = true;
+    for (int place = 0; place < 24; place++) {
+        const float coefficient = coefficient_at(segment, place / 8, place % 8);
         good = good && isfinite(coefficient) && coefficient >= -1.0e4f && coefficient <= 1.0e4f;
     }
     return good;
+}
+
+static uint32_t duration_us_of(const uint8_t *segment)
+{
+    uint32_t duration_us;
+    memcpy(&duration_us, segment, sizeof duration_us);
+    return duration_us;
+}
+
+float model_end(const uint8_t *segment, int axis)
+{
+    float end = 0.0f;
+    for (int power = 7; power >= 0; power--) {
+        end += coefficient_at(segment, axis, power);
+    }
+    return end;
+}
+
+static bool joins(const uint8_t *segment, const uint8_t *next)
+{
+    bool good = true;
+    for (int axis = 0; axis < 3; axis++) {
+        const float gap = coefficient_at(next, axis, 0) - model_end(segment, axis);
+        good = good && gap >= -1.0e-3f && gap <= 1.0e-3f;
+    }
+    return good;
+}
+
+/// What is wrong with what was received whole, the worst first, by the table of protocol/README.md.
+static uint8_t judge_upload(const model_t *model)
+{
+    bool coefficients = true, durations = true, joints = true;
+    double sum_us = 0.0;
+    for (int at = 0; at < model->length_bytes; at += MODEL_BYTES_PER_SEGMENT) {
+        const uint8_t *segment = &model->byte[at];
+        const double duration_us = (double)duration_us_of(segment);
+        coefficients = coefficients && coefficients_may_be_driven(segment);
+        durations = durations && duration_us >= 1.0 && duration_us <= 600.0e6;
+        joints = joints && (at == 0 || joins(segment - MODEL_BYTES_PER_SEGMENT, segment));
+        sum_us += duration_us;
+    }
+    durations = durations && sum_us <= 3600.0e6;
+    return !coefficients ? TRAJECTORY_ACK_RESULT_BAD_SEGMENT
+           : !durations  ? TRAJECTORY_ACK_RESULT_BAD_DURATION
+           : !joints     ? TRAJECTORY_ACK_RESULT_DISCONTINUOUS
+                         : TRAJECTORY_ACK_RESULT_COMPLETE;
 }
 
 static uint8_t finish(model_t *model)
@@ -279,13 +329,9 @@ static uint8_t finish(model_t *model)
     if (oracle_crc32(model->byte, model->length_bytes) != model->crc32) {
         return TRAJECTORY_ACK_RESULT_WRONG_CRC;
     }
-    for (int at = 0; at < model->length_bytes; at += MODEL_BYTES_PER_SEGMENT) {
-        if (!segment_may_be_driven(&model->byte[at])) {
-            return TRAJECTORY_ACK_RESULT_BAD_SEGMENT;
-        }
-    }
-    model->held_bytes = model->length_bytes;
-    return TRAJECTORY_ACK_RESULT_COMPLETE;
+    const uint8_t result = judge_upload(model);
+    model->held_bytes = result == TRAJECTORY_ACK_RESULT_COMPLETE ? model->length_bytes : 0;
+    return result;
 }
 
 model_ack_t model_data(model_t *model, uint16_t offset_bytes, const uint8_t data[6])

@@ -83,6 +83,9 @@ typedef enum { SYNC_REPLAYED, SYNC_AGAIN, SYNC_NEW } model_sync_t;
 /// What a SYNC is; a new one vouches for the readings.
 model_sync_t model_sync(model_t *model, uint32_t tick, uint8_t pose_crc, uint8_t wheel_speed_crc);
 
+/// Where an axis of a segment ends: the sum of its coefficients, the highest power first, in single precision.
+float model_end(const uint8_t *segment, int axis);
+
 /// Takes a PARAMETER_SET; returns the result.
 uint8_t model_set(model_t *model, uint8_t index, float value);
 

@@ -254,9 +254,9 @@ static void data(subject_t *subject, source_t *source)
 
 static uint32_t take_duration_us(source_t *source)
 {
-    static const uint32_t duration_us[] = {1, 999, 1000, 1001, 20000, 300000, UINT32_MAX, 0};
+    static const uint32_t duration_us[] = {1, 999, 1000, 1001, 20000, 300000, 600000000};
     const uint8_t kind = take(source);
-    return kind < 0xE0 ? duration_us[kind % 7] : kind < 0xF8 ? take32(source) : 0;
+    return kind < 0xE0 ? duration_us[kind % 7] : kind < 0xF0 ? take32(source) : kind < 0xF8 ? 600000001u : 0;
 }
 
 /// One segment: mostly smooth and short, some at the ends of what is allowed, some outside.
@@ -282,6 +282,16 @@ static void send_upload(subject_t *subject, const uint8_t *byte, uint16_t length
     }
 }
 
+/// Starts a segment where the one before it ends, or seldom a step from there.
+static void join_segment(uint8_t kind, uint8_t *byte)
+{
+    const float step = kind < 0xE0 ? 0.0f : kind < 0xF0 ? 0.9e-3f : 1.1e-3f;
+    for (int axis = 0; axis < 3; axis++) {
+        const float start = model_end(byte - MODEL_BYTES_PER_SEGMENT, axis) + (kind % 4 == axis ? step : 0.0f);
+        memcpy(&byte[4 + 32 * axis], &start, sizeof start);
+    }
+}
+
 /// A whole upload, seldom the longest, seldom with a wrong CRC.
 static void upload(subject_t *subject, source_t *source)
 {
@@ -289,10 +299,14 @@ static void upload(subject_t *subject, source_t *source)
     const uint8_t kind = take(source);
     const int segments = kind == 0xFF ? MODEL_SEGMENTS_MAX : 1 + kind % 3;
     for (int i = 0; i < segments; i++) {
+        uint8_t *segment = &byte[MODEL_BYTES_PER_SEGMENT * i];
         if (i < 4) {
-            make_segment(source, &byte[MODEL_BYTES_PER_SEGMENT * i]);
+            make_segment(source, segment);
         } else {
-            memcpy(&byte[MODEL_BYTES_PER_SEGMENT * i], byte, MODEL_BYTES_PER_SEGMENT);
+            memcpy(segment, segment - 4 * MODEL_BYTES_PER_SEGMENT, MODEL_BYTES_PER_SEGMENT);
+        }
+        if (i > 0) {
+            join_segment(i < 4 ? take(source) : 0, segment);
         }
     }
     const uint16_t length = (uint16_t)(MODEL_BYTES_PER_SEGMENT * segments);
