@@ -16,9 +16,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from host_sim.errors import OmnibotError
-from host_sim.trajectory import AXES, COEFFICIENTS, MAX_DURATION_US, Array, Path, Polyline, Segment, Trajectory
-
-MAX_SEGMENTS = 128  # what the firmware stores
+from host_sim.trajectory import (
+    AXES,
+    COEFFICIENTS,
+    MAX_DURATION_US,
+    MAX_SEGMENTS,
+    MAX_TOTAL_US,
+    Array,
+    Path,
+    Polyline,
+    Segment,
+    Trajectory,
+)
 
 RHOMBUS_DIAGONAL_M = 6.28
 CIRCLE_RADIUS_M = 1.0
@@ -90,7 +99,7 @@ def plan(request: PathRequest) -> Trajectory:
     segments = _collected(course, duration_us)
     if segments is None:
         longest = _seconds(_longest_us(course, duration_us))
-        stores = f"the firmware stores {MAX_SEGMENTS} segments"
+        stores = f"the firmware stores {MAX_SEGMENTS} segments and at most {_seconds(MAX_TOTAL_US)} s"
         raise OmnibotError(f"duration_s = {_seconds(duration_us)} is too long: {stores}, enough for {longest} s")
     return Trajectory(segments, course.path(duration_us))
 
@@ -118,7 +127,9 @@ class _TooManySegmentsError(Exception):
 
 
 def _collected(course: _Course, duration_us: int) -> list[Segment] | None:
-    """Return all segments, or None if they are more than the firmware stores."""
+    """Return all segments, or None if they are more, or last longer, than the firmware stores."""
+    if duration_us > MAX_TOTAL_US:
+        return None
     try:
         segments = list(islice(course.segments(duration_us), MAX_SEGMENTS + 1))
     except _TooManySegmentsError:
@@ -149,7 +160,7 @@ def _check_choice(name: str, value: str, choices: tuple[str, ...]) -> None:
 def _check_range(name: str, value: float, lowest: float = 1e-6, highest: float = 1e6) -> None:
     """Refuse what no robot does, NaN included.
 
-    So times in microseconds stay sensible whole numbers, and a ramp that fits a polygon's side fits into a segment.
+    So times in microseconds stay sensible whole numbers.
     """
     if not lowest <= value <= highest:
         raise OmnibotError(f"{name} = {value:g} must be a number above 0, from {lowest:g} to {highest:g}")
@@ -170,6 +181,15 @@ def _check_speed(request: PathRequest, what: str, length_m: float, stretch: floa
             least = accel * (speed / limit) ** 2
             cure += f", or corner_accel_m_per_s2 of at least {_rounded(least, math.ceil)}"
         raise OmnibotError(f"speed_m_per_s = {speed:g} is too high for {what} of {length_m:.4g} m: {cure}")
+
+
+def _check_ramp(request: PathRequest, ramp_us: int) -> None:
+    """Check that a ramp or blend, one segment each, lasts no longer than a segment may."""
+    if ramp_us > MAX_DURATION_US:
+        least = request.corner_accel_m_per_s2 * ramp_us / MAX_DURATION_US
+        reason = f"a ramp or corner of {_seconds(ramp_us)} s, longer than a segment's {_seconds(MAX_DURATION_US)} s"
+        cure = f"at least {_rounded(least * (1.0 + _SPEED_MARGIN), math.ceil)} at this speed"
+        raise OmnibotError(f"corner_accel_m_per_s2 = {request.corner_accel_m_per_s2:g} makes {reason}: {cure}")
 
 
 def _rounded(value: float, to_whole: Callable[[float], int]) -> str:
@@ -279,6 +299,7 @@ def _polygon_course(request: PathRequest) -> _PolygonCourse:
     ramp_s = _CUBIC_PEAK * speed / request.corner_accel_m_per_s2
     ramp_us = _even_us(ramp_s)
     blend_us = _even_us(ramp_s * turn) if rounded else 0
+    _check_ramp(request, max(ramp_us, blend_us))
     first_us = _first_corner_us(request.start_before_corner_s, side_us, ramp_us, blend_us)
     moving = request.start_before_corner_s is not None
     return _PolygonCourse(vertices, speed, side_us, ramp_us, blend_us, first_us, moving)

@@ -15,7 +15,9 @@ Array = NDArray[np.float64]
 
 AXES = 3  # p1, p2, heading
 COEFFICIENTS = 8  # of each axis: degree 7
-MAX_DURATION_US = 2**32 - 1  # of one segment
+MAX_SEGMENTS = 128  # what the firmware stores
+MAX_DURATION_US = 600_000_000  # of one segment
+MAX_TOTAL_US = 3_600_000_000  # of all together
 
 _WIRE = np.dtype([("duration_us", "<u4"), ("coefficients", "<f4", (AXES, COEFFICIENTS))])
 SEGMENT_BYTES = _WIRE.itemsize
@@ -66,7 +68,7 @@ class Segment:
     Attributes
     ----------
     duration_us
-        How long it lasts, a whole number of microseconds, 1 … 2^32 - 1.
+        How long it lasts, a whole number of microseconds, 1 … 600 000 000.
     coefficients
         Shape (3, 8): the axes p1 (m), p2 (m) and heading (rad, not wrapped), ascending powers of the
         normalised time s = t / duration in [0, 1].

@@ -45,27 +45,31 @@ static void put_byte(store_t *store, uint8_t byte)
     }
 }
 
-static bool segments_are_valid(const store_t *store, uint16_t segments)
+/// The first thing that is wrong with what was received: no check need cope with what an earlier one refuses.
+static uint8_t judge(const store_t *store, uint16_t segments)
 {
-    bool valid = true;
-    for (uint16_t i = 0; i < segments; i++) {
-        valid = valid && trajectory_segment_is_valid(&store->segment[i]);
+    if (crc32_finish(store->running_crc32) != store->announced_crc32) {
+        return TRAJECTORY_ACK_RESULT_WRONG_CRC;
     }
-    return valid;
+    if (!trajectory_coefficients_are_valid(store->segment, segments)) {
+        return TRAJECTORY_ACK_RESULT_BAD_SEGMENT;
+    }
+    if (!trajectory_durations_are_valid(store->segment, segments)) {
+        return TRAJECTORY_ACK_RESULT_BAD_DURATION;
+    }
+    if (!trajectory_is_continuous(store->segment, segments)) {
+        return TRAJECTORY_ACK_RESULT_DISCONTINUOUS;
+    }
+    return TRAJECTORY_ACK_RESULT_COMPLETE;
 }
 
 static store_answer_t finish(store_t *store)
 {
     const uint16_t segments = store->length_bytes / STORE_BYTES_PER_SEGMENT;
+    const uint8_t result = judge(store, segments);
     store->receiving = false;
-    if (crc32_finish(store->running_crc32) != store->announced_crc32) {
-        return (store_answer_t){true, TRAJECTORY_ACK_RESULT_WRONG_CRC};
-    }
-    if (!segments_are_valid(store, segments)) {
-        return (store_answer_t){true, TRAJECTORY_ACK_RESULT_BAD_SEGMENT};
-    }
-    store->segment_count = segments;
-    return (store_answer_t){true, TRAJECTORY_ACK_RESULT_COMPLETE};
+    store->segment_count = result == TRAJECTORY_ACK_RESULT_COMPLETE ? segments : 0;
+    return (store_answer_t){true, result};
 }
 
 store_answer_t store_data(store_t *store, uint16_t offset_bytes, const uint8_t data[STORE_BYTES_PER_FRAME])

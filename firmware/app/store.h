@@ -35,11 +35,14 @@ typedef struct {
     uint8_t result; // TRAJECTORY_ACK_RESULT_…
 } store_answer_t;
 
-/// Starts an upload; the trajectory held before is gone. Refused unless it is 1 … STORE_SEGMENTS_MAX whole segments.
+/// Starts an upload; the trajectory held before is gone, so that what was to be replaced is never driven instead of
+/// what was refused, and one store is enough: a second one would take more RAM than all the rest. Refused, with
+/// everything left as it is, unless it is 1 … STORE_SEGMENTS_MAX whole segments.
 store_answer_t store_begin(store_t *store, uint16_t length_bytes, uint32_t crc32);
 
 /// Takes the next bytes; those past the announced length are padding. Acknowledges every STORE_FRAMES_PER_ACK frames,
-/// at the end, and at an offset that is not the next.
+/// at the end, and at an offset that is not the next. The last byte is answered by what is wrong with the whole, CRC
+/// first, or by COMPLETE; only then is there a trajectory.
 store_answer_t store_data(store_t *store, uint16_t offset_bytes, const uint8_t data[STORE_BYTES_PER_FRAME]);
 
 #endif

@@ -34,13 +34,57 @@ static bool coefficients_are_valid(const float *coefficient)
     return valid;
 }
 
-bool trajectory_segment_is_valid(const trajectory_segment_t *segment)
+bool trajectory_coefficients_are_valid(const trajectory_segment_t *segments, uint16_t count)
 {
-    bool valid = segment->duration_us > 0;
-    for (int axis = 0; axis < TRAJECTORY_AXES; axis++) {
-        valid = valid && coefficients_are_valid(segment->coefficient[axis]);
+    bool valid = true;
+    for (uint16_t i = 0; i < count; i++) {
+        for (int axis = 0; axis < TRAJECTORY_AXES; axis++) {
+            valid = valid && coefficients_are_valid(segments[i].coefficient[axis]);
+        }
     }
     return valid;
+}
+
+bool trajectory_durations_are_valid(const trajectory_segment_t *segments, uint16_t count)
+{
+    bool valid = true;
+    uint64_t sum_us = 0;
+    for (uint16_t i = 0; i < count; i++) {
+        const uint32_t duration_us = segments[i].duration_us;
+        valid = valid && duration_us > 0 && duration_us <= TRAJECTORY_SEGMENT_DURATION_MAX_US;
+        sum_us += duration_us;
+    }
+    return valid && sum_us <= TRAJECTORY_DURATION_MAX_US;
+}
+
+/// Value at the end of a segment, s = 1, added up in the order in which the reference is.
+static float end_of(const float *coefficient)
+{
+    float sum = coefficient[TRAJECTORY_COEFFICIENTS - 1];
+    for (int k = TRAJECTORY_COEFFICIENTS - 2; k >= 0; k--) {
+        sum += coefficient[k];
+    }
+    return sum;
+}
+
+static bool follows(const trajectory_segment_t *next, const trajectory_segment_t *segment)
+{
+    static const float jump_max[TRAJECTORY_AXES] = {TRAJECTORY_JUMP_MAX_M, TRAJECTORY_JUMP_MAX_M,
+                                                    TRAJECTORY_JUMP_MAX_RAD};
+    bool near = true;
+    for (int axis = 0; axis < TRAJECTORY_AXES; axis++) {
+        near = near && fabsf(next->coefficient[axis][0] - end_of(segment->coefficient[axis])) <= jump_max[axis];
+    }
+    return near;
+}
+
+bool trajectory_is_continuous(const trajectory_segment_t *segments, uint16_t count)
+{
+    bool continuous = true;
+    for (uint16_t i = 1; i < count; i++) {
+        continuous = continuous && follows(&segments[i], &segments[i - 1]);
+    }
+    return continuous;
 }
 
 void trajectory_advance(const trajectory_segment_t *segments, uint16_t count, trajectory_cursor_t *cursor,

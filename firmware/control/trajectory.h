@@ -13,6 +13,17 @@ enum { TRAJECTORY_AXES = 3, TRAJECTORY_COEFFICIENTS = 8 };
 /// No coefficient may be larger: metres or radians far outside what the wire can say.
 #define TRAJECTORY_COEFFICIENT_MAX 1.0e4f
 
+/// A segment may last no longer: rounding of its time to single precision is then below 0.1 ms, a tenth of a tick.
+#define TRAJECTORY_SEGMENT_DURATION_MAX_US 600000000u
+
+/// Nor may they all together: an hour in µs fits 32 bits.
+#define TRAJECTORY_DURATION_MAX_US 3600000000u
+
+/// Between two segments the output may jump no further: rounding of coefficients is well below, what a robot could
+/// be asked to leap over well above. Velocity may jump, as at a sharp corner.
+#define TRAJECTORY_JUMP_MAX_M 1.0e-3f
+#define TRAJECTORY_JUMP_MAX_RAD 1.0e-3f
+
 /// y_axis = Σ c_k s^k with s = t / duration in 0 … 1. Durations are whole microseconds so that no time is lost to
 /// rounding over a long path; a normalised s keeps the coefficients of one size.
 typedef struct {
@@ -34,8 +45,16 @@ typedef struct {
     uint32_t time_us; // since the segment's start
 } trajectory_cursor_t;
 
-/// True for a positive duration and finite coefficients within TRAJECTORY_COEFFICIENT_MAX.
-bool trajectory_segment_is_valid(const trajectory_segment_t *segment);
+/// True if every coefficient is a number within ±TRAJECTORY_COEFFICIENT_MAX. Work: 24 comparisons a segment.
+bool trajectory_coefficients_are_valid(const trajectory_segment_t *segments, uint16_t count);
+
+/// True if each segment lasts 1 … TRAJECTORY_SEGMENT_DURATION_MAX_US and all together TRAJECTORY_DURATION_MAX_US at
+/// most.
+bool trajectory_durations_are_valid(const trajectory_segment_t *segments, uint16_t count);
+
+/// True if no segment starts further from the end of the one before it than TRAJECTORY_JUMP_MAX_…, a full turn of
+/// heading included: the heading is not wrapped. Coefficients must be valid. Work: 21 additions a segment.
+bool trajectory_is_continuous(const trajectory_segment_t *segments, uint16_t count);
 
 /// Moves the cursor on by a time; it stays at the end of the last segment. Work: at most `count` steps.
 void trajectory_advance(const trajectory_segment_t *segments, uint16_t count, trajectory_cursor_t *cursor,

@@ -2,6 +2,7 @@
 
 import errno
 import math
+import struct
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -15,8 +16,9 @@ from host_sim.codec import DBC_FILE, Codec
 from host_sim.errors import OmnibotError
 from host_sim.inproc import LIBRARY_FILE, InprocBus
 from host_sim.link import Answer, BusStatistics, Link, RefusedError, SilentError
+from host_sim.planner import CORNERS, PATHS, PathRequest, plan
 from host_sim.robot import load_robot
-from host_sim.trajectory import SEGMENT_BYTES, Polyline, Segment, Trajectory
+from host_sim.trajectory import MAX_DURATION_US, MAX_TOTAL_US, SEGMENT_BYTES, Polyline, Segment, Trajectory
 
 NODE = 3
 CODEC = Codec(node=NODE)
@@ -81,6 +83,13 @@ def straight_line(segments: int = 1) -> Trajectory:
         coefficients[0, :2] = start, 1.0
         made.append(Segment(SECOND_US, coefficients))
     return Trajectory(made, Polyline(np.array([[0.0, 0.0], [segments, 0.0]]), closed=False))
+
+
+def standstill(*durations_us: int, step_m: float = 0.0) -> bytes:
+    """Segments at rest, each a step along x1 further; some that host_sim itself would refuse to make."""
+    step = np.zeros((len(durations_us), 24), np.float32)
+    step[:, 0] = step_m * np.arange(len(durations_us))
+    return b"".join(struct.pack("<I", us) + row.tobytes() for us, row in zip(durations_us, step, strict=True))
 
 
 def drive(link: Link, ticks: int = TICKS, first: int = 0) -> list[Answer]:
@@ -223,13 +232,31 @@ def test_upload_is_taken_and_can_be_started(link: Link, segments: int) -> None:
         (b"", "at byte 0: WRONG_LENGTH"),
         (bytes(SEGMENT_BYTES + 1), "at byte 0: WRONG_LENGTH"),
         (straight_line(129).to_bytes(), "at byte 0: WRONG_LENGTH"),
-        (bytes(SEGMENT_BYTES), "at byte 100: BAD_SEGMENT"),
+        (bytes(SEGMENT_BYTES), "at byte 100: BAD_DURATION"),
         (b"\x01\0\0\0" + b"\xff" * 96, "at byte 100: BAD_SEGMENT"),
+        (standstill(600_000_001), "at byte 100: BAD_DURATION"),
+        (standstill(*6 * [600_000_000], 1), "at byte 700: BAD_DURATION"),
+        (standstill(1, 1, step_m=1.1e-3), "at byte 200: DISCONTINUOUS"),
     ],
 )
 def test_upload_that_makes_no_trajectory_is_refused(link: Link, trajectory: bytes, why: str) -> None:
     with pytest.raises(RefusedError, match=why):
         link.upload(trajectory)
+
+
+def test_upload_at_the_bounds_of_what_the_firmware_takes_is_taken(link: Link) -> None:
+    link.upload(standstill(*6 * [MAX_DURATION_US]))
+    link.upload(standstill(1, MAX_TOTAL_US - 5 * MAX_DURATION_US - 1, *5 * [MAX_DURATION_US], step_m=0.9e-3))
+
+
+@pytest.mark.parametrize("path", PATHS)
+@pytest.mark.parametrize("corner", CORNERS)
+def test_paths_of_the_planner_are_taken(link: Link, path: str, corner: str) -> None:
+    for speed in (0.01, 0.5, 2.0):
+        link.upload(plan(PathRequest(path, speed, corner)).to_bytes())
+    link.upload(plan(PathRequest(path, 0.5, corner, duration_s=60.0)).to_bytes())
+    if path == "rhombus":
+        link.upload(plan(PathRequest(path, 1.0, corner, duration_s=9.0, start_before_corner_s=1.0)).to_bytes())
 
 
 def test_upload_with_a_frame_lost_is_refused_at_its_byte(

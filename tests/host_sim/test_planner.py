@@ -94,9 +94,9 @@ def test_rhombus_peak_acceleration_of_long_ramps_is_exact_to_a_millionth(corner)
     assert peak_acceleration(plan(PathRequest("rhombus", 1.0, corner, 0.7))) == pytest.approx(0.7, rel=1e-6)
 
 
-def test_ramp_that_takes_a_whole_side_fits_into_a_segment_at_the_lowest_acceleration():
-    trajectory = plan(PathRequest("rhombus", 0.001446, "rounded", 1e-6))
-    assert peak_acceleration(trajectory) == pytest.approx(1e-6, rel=1e-6)
+def test_corner_that_takes_a_whole_side_fits_into_a_segment():
+    trajectory = plan(PathRequest("rhombus", 0.0074, "rounded", 2.62e-5))  # 599.1 s of 600.2 s
+    assert peak_acceleration(trajectory) == pytest.approx(2.62e-5, rel=1e-6)
 
 
 def test_rhombus_speed_is_the_one_asked_for_to_a_millionth():
@@ -208,7 +208,7 @@ def test_long_duration_goes_on_lapping():
 
 
 def test_slow_run_splits_what_does_not_fit_into_a_segment():
-    trajectory = plan(PathRequest("rhombus", 0.0005))  # a side of 8881 s, a segment holds 4295 s
+    trajectory = plan(PathRequest("rhombus", 0.005))  # a side of 888 s, a segment holds 600 s
     np.testing.assert_allclose(jumps(trajectory, 2), 0.0, atol=1e-10)
     assert len(trajectory.segments) > 12
 
@@ -385,8 +385,19 @@ def test_curve_outline_lies_on_the_path(path):
             "duration_s = 0.5 is too short: to reach 0.5 m/s and stop takes 0.9375 s or more",
         ),
         ({"speed_m_per_s": 2e-3, "corner_accel_m_per_s2": 1e-6}, "is too high for a side of 4.441 m: at most 0.001446"),
-        ({"speed_m_per_s": 1e-6}, "is too long: the firmware stores 128 segments"),
-        ({"duration_s": 1000.0}, "duration_s = 1000 is too long: the firmware stores 128 segments, enough for "),
+        (
+            {"speed_m_per_s": 1e-6},
+            "is too long: the firmware stores 128 segments and at most 3600 s, enough for 3600 s",
+        ),
+        (
+            {"duration_s": 1000.0},
+            "duration_s = 1000 is too long: the firmware stores 128 segments and at most 3600 s, enough for ",
+        ),
+        (
+            {"speed_m_per_s": 1e-3, "corner_accel_m_per_s2": 2e-6},
+            "corner_accel_m_per_s2 = 2e-06 makes a ramp or corner of 1060.660172 s, longer than a segment's 600 s: "
+            "at least 3.536e-06 at this speed",
+        ),
         ({"path": "circle", "duration_s": 1e6}, "duration_s = 1000000 is too long: the firmware stores 128 segments"),
     ],
 )
@@ -416,6 +427,14 @@ def test_speed_and_acceleration_named_by_a_refusal_work(path, accel):
     plan(PathRequest(path, 39.0, corner_accel_m_per_s2=least))
     refusal(path=path, speed_m_per_s=fastest * 1.002, corner_accel_m_per_s2=accel)
     refusal(path=path, speed_m_per_s=39.0, corner_accel_m_per_s2=least * 0.997)
+
+
+@pytest.mark.parametrize("corner", ["sharp", "rounded"])
+def test_acceleration_named_by_a_refusal_of_slow_ramps_works(corner):
+    request = {"path": "rhombus", "speed_m_per_s": 1e-3, "corner": corner, "duration_s": 1300.0}
+    least = number_after(refusal(**request, corner_accel_m_per_s2=1.5e-6), "at least")
+    plan(PathRequest(**request, corner_accel_m_per_s2=least))
+    refusal(**request, corner_accel_m_per_s2=least * 0.997)
 
 
 def test_start_named_by_a_refusal_works():

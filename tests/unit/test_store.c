@@ -54,9 +54,30 @@ static uint32_t duration_of(uint32_t segment)
     return 1000u + 65537u * segment;
 }
 
+/// Sixteenths within ±2, so that every sum of them is exact.
+static float slope_of(uint32_t segment, uint32_t axis, uint32_t power)
+{
+    return 0.0625f * ((float)((31u * segment + 7u * axis + 13u * power) % 64u) - 32.0f);
+}
+
+/// Each segment starts where the one before it ends.
 static float coefficient_of(uint32_t segment, uint32_t axis, uint32_t power)
 {
-    return (float)segment * 10.0f - (float)axis * 0.5f + (float)power * 0.0625f;
+    if (power > 0) {
+        return slope_of(segment, axis, power);
+    }
+    float start = -0.5f * (float)axis;
+    for (uint32_t i = 0; i < segment; i++) {
+        for (uint32_t k = 1; k < 8; k++) {
+            start += slope_of(i, axis, k);
+        }
+    }
+    return start;
+}
+
+static uint8_t *coefficient_at(uint32_t segment, uint32_t axis, uint32_t power)
+{
+    return &upload[100 * segment + 4 + 32 * axis + 4 * power];
 }
 
 /// Fills the upload with segments that are all different; returns their bytes.
@@ -66,7 +87,7 @@ static uint16_t make_segments(uint32_t count)
         write_word(&upload[100 * i], duration_of(i));
         for (uint32_t axis = 0; axis < 3; axis++) {
             for (uint32_t power = 0; power < 8; power++) {
-                write_float(&upload[100 * i + 4 + 32 * axis + 4 * power], coefficient_of(i, axis, power));
+                write_float(coefficient_at(i, axis, power), coefficient_of(i, axis, power));
             }
         }
     }
@@ -265,44 +286,68 @@ static void test_upload_with_a_wrong_crc_announced_is_refused(void)
     assert_answer(TRAJECTORY_ACK_RESULT_WRONG_OFFSET, send_frame(0, length, 0)); // it is over
 }
 
-static void assert_bad_segment(uint16_t length)
+static void assert_refused(uint8_t result, uint16_t length)
 {
     (void)begin(length);
-    assert_answer(TRAJECTORY_ACK_RESULT_BAD_SEGMENT, send_frames(0, length, length));
+    assert_answer(result, send_frames(0, length, length));
     TEST_ASSERT_EQUAL_UINT16(0, store.segment_count);
+    assert_answer(TRAJECTORY_ACK_RESULT_WRONG_OFFSET, send_frame(0, length, 0)); // it is over
 }
 
-static void test_upload_with_a_segment_of_no_duration_is_refused(void)
+static void test_upload_with_a_bad_duration_in_any_segment_is_refused(void)
 {
-    const uint16_t length = make_segments(3);
-    write_word(&upload[200], 0);
-
-    assert_bad_segment(length);
-}
-
-static void test_upload_with_a_coefficient_that_is_no_number_is_refused(void)
-{
-    const uint32_t bad[] = {0x7FC00000u, 0x7F800001u, 0x7F800000u, 0xFF800000u, 0xFFFFFFFFu}; // NaNs and infinities
-    for (size_t i = 0; i < sizeof bad / sizeof bad[0]; i++) {
-        const uint16_t length = make_segments(2);
-        write_word(&upload[196], bad[i]); // the very last
-        assert_bad_segment(length);
+    static const uint32_t bad_us[] = {0, 600000001u, 3600000000u, UINT32_MAX};
+    for (size_t i = 0; i < sizeof bad_us / sizeof bad_us[0]; i++) {
+        for (uint32_t segment = 0; segment < 128; segment++) {
+            const uint16_t length = make_segments(128);
+            write_word(&upload[100 * segment], bad_us[i]);
+            assert_refused(TRAJECTORY_ACK_RESULT_BAD_DURATION, length);
+        }
     }
 }
 
-static void test_upload_with_a_coefficient_too_large_is_refused(void)
+static void test_upload_with_any_coefficient_that_is_no_number_or_too_large_is_refused(void)
 {
-    const uint16_t length = make_segments(2);
-    write_float(&upload[4], -10001.0f);
+    // NaNs, infinities, and the numbers next to ±10⁴.
+    static const uint32_t bad[] = {0x7FC00000u, 0x7F800001u, 0x7F800000u, 0xFF800000u,
+                                   0xFFFFFFFFu, 0x461C4001u, 0xC61C4001u};
+    for (uint32_t place = 0; place < 5 * 24; place++) {
+        const uint16_t length = make_segments(5);
+        write_word(coefficient_at(place / 24, place % 24 / 8, place % 8), bad[place % 7]);
+        assert_refused(TRAJECTORY_ACK_RESULT_BAD_SEGMENT, length);
+    }
+}
 
-    assert_bad_segment(length);
+static void test_upload_with_a_jump_at_any_joint_is_refused(void)
+{
+    for (uint32_t joint = 1; joint < 128; joint++) {
+        for (uint32_t axis = 0; axis < 3; axis++) {
+            const uint16_t length = make_segments(128);
+            write_float(coefficient_at(joint, axis, 0), coefficient_of(joint, axis, 0) + 0.0625f);
+            assert_refused(TRAJECTORY_ACK_RESULT_DISCONTINUOUS, length);
+        }
+    }
+}
+
+static void test_upload_with_several_flaws_is_refused_for_the_first_to_be_looked_at(void)
+{
+    const uint16_t length = make_segments(3);
+    write_float(coefficient_at(1, 0, 0), 900.0f);
+    assert_refused(TRAJECTORY_ACK_RESULT_DISCONTINUOUS, length);
+    write_word(&upload[0], 0);
+    assert_refused(TRAJECTORY_ACK_RESULT_BAD_DURATION, length);
+    write_float(coefficient_at(2, 2, 7), NAN);
+    assert_refused(TRAJECTORY_ACK_RESULT_BAD_SEGMENT, length);
+
+    (void)store_begin(&store, length, 1u);
+    assert_answer(TRAJECTORY_ACK_RESULT_WRONG_CRC, send_frames(0, length, length));
 }
 
 static void test_upload_after_a_bad_one_is_held(void)
 {
     const uint16_t length = make_segments(2);
     write_float(&upload[4], NAN);
-    assert_bad_segment(length);
+    assert_refused(TRAJECTORY_ACK_RESULT_BAD_SEGMENT, length);
 
     upload_segments(2);
 
@@ -390,6 +435,100 @@ static void test_begin_refused_in_the_middle_lets_the_upload_go_on(void)
     assert_holds(2);
 }
 
+// ---- attacks
+
+enum { STEPS = 20000, SEGMENTS_OF_AN_ATTACK = 4 };
+
+/// What an upload must come to, told by the sender's own books: bytes sent in order, and whether they are good.
+typedef struct {
+    uint8_t verdict; // on the whole, made when the bytes were
+    uint32_t length, sent, held;
+    bool under_way;
+} books_t;
+
+static uint32_t draw(uint32_t *state, uint32_t below)
+{
+    *state = *state * 1664525u + 1013904223u;
+    return (*state >> 8) % below;
+}
+
+/// Makes good segments, spoils them in one way or none; returns what the robot must say to it.
+static uint8_t make_attack(uint32_t *state, uint32_t count)
+{
+    static const uint8_t verdict[] = {TRAJECTORY_ACK_RESULT_BAD_SEGMENT, TRAJECTORY_ACK_RESULT_BAD_DURATION,
+                                      TRAJECTORY_ACK_RESULT_DISCONTINUOUS, TRAJECTORY_ACK_RESULT_COMPLETE};
+    (void)make_segments(count);
+    const uint32_t segment = draw(state, count), axis = draw(state, 3);
+    const uint32_t flaw = draw(state, 4);
+    if (flaw == 0) {
+        write_word(coefficient_at(segment, axis, draw(state, 8)), 0x7F800000u | draw(state, 1u << 23));
+    } else if (flaw == 1) {
+        write_word(&upload[100 * segment], draw(state, 2) == 0 ? 0 : 600000001u + draw(state, 1u << 24));
+    } else if (flaw == 2 && segment > 0) {
+        write_float(coefficient_at(segment, axis, 0), coefficient_of(segment, axis, 0) - 0.0625f);
+    } else {
+        return TRAJECTORY_ACK_RESULT_COMPLETE;
+    }
+    return verdict[flaw];
+}
+
+static void attack_begin(uint32_t *state, books_t *books)
+{
+    const uint32_t count = 1 + draw(state, SEGMENTS_OF_AN_ATTACK);
+    const bool lawful = draw(state, 4) > 0;
+    if (!lawful) {
+        const uint16_t wrong = (uint16_t)(100 * count + 1 + draw(state, 99));
+        assert_answer(TRAJECTORY_ACK_RESULT_WRONG_LENGTH, store_begin(&store, wrong, 0));
+        return;
+    }
+    *books = (books_t){.verdict = make_attack(state, count), .length = 100 * count, .under_way = true};
+    const bool damaged = draw(state, 8) == 0;
+    const uint32_t crc32 = crc32_bitwise(upload, books->length) ^ (damaged ? 1u << draw(state, 32) : 0u);
+    books->verdict = damaged ? TRAJECTORY_ACK_RESULT_WRONG_CRC : books->verdict;
+    assert_answer(TRAJECTORY_ACK_RESULT_RECEIVING, store_begin(&store, (uint16_t)books->length, crc32));
+}
+
+/// A frame at the next offset or, seldom, at another: an overlap, a gap, a repetition.
+static void attack_data(uint32_t *state, books_t *books)
+{
+    const uint32_t offset = draw(state, 16) > 0 ? books->sent : draw(state, 1u << 16);
+    const store_answer_t answer = send_frame((uint16_t)offset, (uint16_t)books->length, (uint8_t)draw(state, 256));
+    if (!books->under_way || offset != books->sent) {
+        assert_answer(TRAJECTORY_ACK_RESULT_WRONG_OFFSET, answer);
+        return;
+    }
+    books->sent = books->sent + 6 < books->length ? books->sent + 6 : books->length;
+    if (books->sent < books->length) {
+        TEST_ASSERT_EQUAL(books->sent % 96 == 0, answer.send);
+        TEST_ASSERT_EQUAL_UINT8(TRAJECTORY_ACK_RESULT_RECEIVING, answer.result);
+        return;
+    }
+    assert_answer(books->verdict, answer);
+    books->under_way = false;
+    books->held = books->verdict == TRAJECTORY_ACK_RESULT_COMPLETE ? books->length / 100 : 0;
+}
+
+static void test_store_under_random_attacks_holds_whole_good_uploads_or_nothing(void)
+{
+    uint32_t state = 2014, uploads_held = 0;
+    books_t books = {0};
+    for (int step = 0; step < STEPS; step++) {
+        if (draw(&state, books.under_way ? 400 : 4) == 0) {
+            attack_begin(&state, &books);
+        } else {
+            attack_data(&state, &books);
+        }
+        TEST_ASSERT_EQUAL_UINT16(books.sent, store.received_bytes);
+        TEST_ASSERT_EQUAL_UINT16(books.held, store.segment_count);
+        TEST_ASSERT_EQUAL(books.under_way, store.receiving);
+        if (books.held > 0 && books.sent == books.length) {
+            assert_holds(books.held);
+            uploads_held++;
+        }
+    }
+    TEST_ASSERT_GREATER_THAN_UINT32(100, uploads_held); // good ones came through
+}
+
 int main(void)
 {
     UNITY_BEGIN();
@@ -408,9 +547,10 @@ int main(void)
     RUN_TEST(test_begin_taken_drops_the_trajectory_held);
     RUN_TEST(test_upload_with_any_byte_wrong_is_refused);
     RUN_TEST(test_upload_with_a_wrong_crc_announced_is_refused);
-    RUN_TEST(test_upload_with_a_segment_of_no_duration_is_refused);
-    RUN_TEST(test_upload_with_a_coefficient_that_is_no_number_is_refused);
-    RUN_TEST(test_upload_with_a_coefficient_too_large_is_refused);
+    RUN_TEST(test_upload_with_a_bad_duration_in_any_segment_is_refused);
+    RUN_TEST(test_upload_with_any_coefficient_that_is_no_number_or_too_large_is_refused);
+    RUN_TEST(test_upload_with_a_jump_at_any_joint_is_refused);
+    RUN_TEST(test_upload_with_several_flaws_is_refused_for_the_first_to_be_looked_at);
     RUN_TEST(test_upload_after_a_bad_one_is_held);
     RUN_TEST(test_data_without_begin_is_refused);
     RUN_TEST(test_data_behind_a_gap_is_refused_and_the_upload_goes_on_from_before);
@@ -419,5 +559,6 @@ int main(void)
     RUN_TEST(test_data_after_the_end_is_refused_and_the_trajectory_stays);
     RUN_TEST(test_begin_in_the_middle_restarts);
     RUN_TEST(test_begin_refused_in_the_middle_lets_the_upload_go_on);
+    RUN_TEST(test_store_under_random_attacks_holds_whole_good_uploads_or_nothing);
     return UNITY_END();
 }

@@ -285,28 +285,14 @@ static void test_reference_at_the_end_of_an_inner_segment_is_not_at_rest(void)
     TEST_ASSERT_FLOAT_WITHIN(0.1f, 1000.0f, trajectory_reference(segment, 4, &cursor).velocity.x);
 }
 
-// ---- what is not a segment
+// ---- what is not a trajectory
 
-static void test_valid_segment_is_accepted(void)
-{
-    TEST_ASSERT_TRUE(trajectory_segment_is_valid(&segment[0]));
-    segment[0].duration_us = 1;
-    TEST_ASSERT_TRUE(trajectory_segment_is_valid(&segment[0]));
-    segment[0].duration_us = UINT32_MAX;
-    TEST_ASSERT_TRUE(trajectory_segment_is_valid(&segment[0]));
-}
-
-static void test_valid_segment_with_nothing_behind_it_is_accepted(void)
+static void test_trajectory_with_nothing_behind_it_is_accepted(void)
 {
     const trajectory_segment_t alone = ramp(1000, 0.5f, 1.0f); // a look past its end is an error of the sanitizer's
-    TEST_ASSERT_TRUE(trajectory_segment_is_valid(&alone));
-}
-
-static void test_segment_of_no_duration_is_refused(void)
-{
-    segment[0].duration_us = 0;
-
-    TEST_ASSERT_FALSE(trajectory_segment_is_valid(&segment[0]));
+    TEST_ASSERT_TRUE(trajectory_coefficients_are_valid(&alone, 1));
+    TEST_ASSERT_TRUE(trajectory_durations_are_valid(&alone, 1));
+    TEST_ASSERT_TRUE(trajectory_is_continuous(&alone, 1));
 }
 
 static void test_segment_with_a_bad_coefficient_anywhere_is_refused(void)
@@ -314,11 +300,13 @@ static void test_segment_with_a_bad_coefficient_anywhere_is_refused(void)
     const float bad[] = {NAN,     -NAN,   INFINITY, -INFINITY, nextafterf(TRAJECTORY_COEFFICIENT_MAX, 2e4f),
                          -1.1e4f, 3.0e38f};
     for (size_t i = 0; i < sizeof bad / sizeof bad[0]; i++) {
-        for (int place = 0; place < TRAJECTORY_AXES * TRAJECTORY_COEFFICIENTS; place++) {
-            trajectory_segment_t of = ramp(1000, 0.0f, 1.0f);
-            of.coefficient[place / TRAJECTORY_COEFFICIENTS][place % TRAJECTORY_COEFFICIENTS] = bad[i];
+        for (int place = 0; place < 4 * TRAJECTORY_AXES * TRAJECTORY_COEFFICIENTS; place++) {
+            setUp();
+            TEST_ASSERT_TRUE(trajectory_coefficients_are_valid(segment, 4));
+            segment[place / 24].coefficient[place % 24 / 8][place % 8] = bad[i];
 
-            TEST_ASSERT_FALSE(trajectory_segment_is_valid(&of));
+            TEST_ASSERT_FALSE(trajectory_coefficients_are_valid(segment, 4));
+            TEST_ASSERT_TRUE(trajectory_coefficients_are_valid(segment, (uint16_t)(place / 24))); // those before it
         }
     }
 }
@@ -330,7 +318,90 @@ static void test_segment_with_the_largest_coefficients_is_accepted(void)
             place % 2 == 0 ? TRAJECTORY_COEFFICIENT_MAX : -TRAJECTORY_COEFFICIENT_MAX;
     }
 
-    TEST_ASSERT_TRUE(trajectory_segment_is_valid(&segment[0]));
+    TEST_ASSERT_TRUE(trajectory_coefficients_are_valid(segment, 1));
+}
+
+static void test_duration_of_any_segment_outside_its_bounds_is_refused(void)
+{
+    static const uint32_t good_us[] = {1, 2, 599999999u, 600000000u};
+    static const uint32_t bad_us[] = {0, 600000001u, 1u << 31, UINT32_MAX};
+    for (int i = 0; i < 16; i++) {
+        setUp();
+        segment[i / 4].duration_us = good_us[i % 4];
+        TEST_ASSERT_TRUE(trajectory_durations_are_valid(segment, 4));
+        segment[i / 4].duration_us = bad_us[i % 4];
+        TEST_ASSERT_FALSE(trajectory_durations_are_valid(segment, 4));
+    }
+}
+
+static void test_durations_of_an_hour_and_no_more_are_accepted(void)
+{
+    static trajectory_segment_t hour[128];
+    for (int i = 0; i < 128; i++) {
+        hour[i].duration_us = 3600000000u / 128u;
+    }
+    TEST_ASSERT_TRUE(trajectory_durations_are_valid(hour, 128));
+    hour[77].duration_us++;
+    TEST_ASSERT_FALSE(trajectory_durations_are_valid(hour, 128));
+    for (int i = 0; i < 128; i++) {
+        hour[i].duration_us = 600000000u;
+    }
+    TEST_ASSERT_TRUE(trajectory_durations_are_valid(hour, 6));
+    TEST_ASSERT_FALSE(trajectory_durations_are_valid(hour, 7));
+    TEST_ASSERT_FALSE(trajectory_durations_are_valid(hour, 8)); // 5.05e8 in 32 bits
+    TEST_ASSERT_FALSE(trajectory_durations_are_valid(hour, 128));
+}
+
+/// Four segments of which each ends at 1 in every axis with all its coefficients in use, and starts there.
+static void make_continuous(void)
+{
+    for (int place = 0; place < 4 * 24; place++) {
+        segment[place / 24].coefficient[place % 24 / 8][place % 8] = place % 8 == 0  ? 1.0f
+                                                                     : place % 8 < 7 ? 0.25f
+                                                                                     : -1.5f;
+    }
+}
+
+static void test_jump_at_any_joint_beyond_the_bound_is_refused(void)
+{
+    static const float good[] = {0.0f, 0.9e-3f, -0.9e-3f, 0.9e-3f};
+    static const float bad[] = {1.1e-3f, -1.1e-3f, 6.2831853f, -9000.0f}; // a whole turn of the heading as well
+    for (int i = 0; i < 9 * 4; i++) {
+        make_continuous();
+        segment[1 + i / 12].coefficient[i % 12 / 4][0] += good[i % 4];
+        segment[1 + i / 12].coefficient[i % 12 / 4][1] -= good[i % 4];
+        TEST_ASSERT_TRUE(trajectory_is_continuous(segment, 4));
+        segment[1 + i / 12].coefficient[i % 12 / 4][0] += bad[i % 4] - good[i % 4];
+        segment[1 + i / 12].coefficient[i % 12 / 4][1] -= bad[i % 4] - good[i % 4];
+        TEST_ASSERT_FALSE(trajectory_is_continuous(segment, 4));
+        TEST_ASSERT_TRUE(trajectory_is_continuous(segment, (uint16_t)(1 + i / 12))); // before the jump
+    }
+}
+
+static void test_jump_of_each_power_at_the_end_of_any_segment_is_refused(void)
+{
+    for (int i = 0; i < 3 * 24; i++) {
+        make_continuous();
+        segment[i / 24].coefficient[i % 24 / 8][i % 8] += 2e-3f;
+        TEST_ASSERT_FALSE(trajectory_is_continuous(segment, 4));
+    }
+}
+
+static void test_jump_of_velocity_and_heading_of_many_turns_are_accepted(void)
+{
+    make_continuous();
+    segment[1].coefficient[0][1] += 40.0f; // the end stays where it was
+    segment[1].coefficient[0][2] -= 40.0f;
+    for (int i = 0; i < 4; i++) {
+        segment[i].coefficient[2][0] += 200.0f; // rad
+    }
+    TEST_ASSERT_TRUE(trajectory_is_continuous(segment, 4));
+}
+
+static void test_one_segment_alone_has_no_joint(void)
+{
+    TEST_ASSERT_TRUE(trajectory_is_continuous(segment, 1));
+    TEST_ASSERT_FALSE(trajectory_is_continuous(segment, 2)); // from 11 to 20
 }
 
 static void test_reference_of_the_wildest_valid_segment_is_finite(void)
@@ -369,11 +440,15 @@ int main(void)
     RUN_TEST(test_reference_just_before_the_end_still_moves);
     RUN_TEST(test_reference_at_the_end_rests_at_the_last_point);
     RUN_TEST(test_reference_at_the_end_of_an_inner_segment_is_not_at_rest);
-    RUN_TEST(test_valid_segment_is_accepted);
-    RUN_TEST(test_valid_segment_with_nothing_behind_it_is_accepted);
-    RUN_TEST(test_segment_of_no_duration_is_refused);
+    RUN_TEST(test_trajectory_with_nothing_behind_it_is_accepted);
     RUN_TEST(test_segment_with_a_bad_coefficient_anywhere_is_refused);
     RUN_TEST(test_segment_with_the_largest_coefficients_is_accepted);
+    RUN_TEST(test_duration_of_any_segment_outside_its_bounds_is_refused);
+    RUN_TEST(test_durations_of_an_hour_and_no_more_are_accepted);
+    RUN_TEST(test_jump_at_any_joint_beyond_the_bound_is_refused);
+    RUN_TEST(test_jump_of_each_power_at_the_end_of_any_segment_is_refused);
+    RUN_TEST(test_jump_of_velocity_and_heading_of_many_turns_are_accepted);
+    RUN_TEST(test_one_segment_alone_has_no_joint);
     RUN_TEST(test_reference_of_the_wildest_valid_segment_is_finite);
     return UNITY_END();
 }
