@@ -398,6 +398,18 @@ static void test_jump_of_velocity_and_heading_of_many_turns_are_accepted(void)
     TEST_ASSERT_TRUE(trajectory_is_continuous(segment, 4));
 }
 
+static void test_jump_of_exactly_the_bound_is_accepted(void)
+{
+    static const float bound[TRAJECTORY_AXES] = {1.0e-3f, 1.0e-3f, 1.0e-3f}; // m, m, rad: protocol/README.md
+    for (int axis = 0; axis < TRAJECTORY_AXES; axis++) {
+        trajectory_segment_t at_rest[2] = {{.duration_us = 1000}, {.duration_us = 1000}};
+        at_rest[1].coefficient[axis][0] = bound[axis];
+        TEST_ASSERT_TRUE(trajectory_is_continuous(at_rest, 2));
+        at_rest[1].coefficient[axis][0] = nextafterf(bound[axis], 1.0f);
+        TEST_ASSERT_FALSE(trajectory_is_continuous(at_rest, 2));
+    }
+}
+
 static void test_one_segment_alone_has_no_joint(void)
 {
     TEST_ASSERT_TRUE(trajectory_is_continuous(segment, 1));
@@ -448,6 +460,7 @@ int main(void)
     RUN_TEST(test_jump_at_any_joint_beyond_the_bound_is_refused);
     RUN_TEST(test_jump_of_each_power_at_the_end_of_any_segment_is_refused);
     RUN_TEST(test_jump_of_velocity_and_heading_of_many_turns_are_accepted);
+    RUN_TEST(test_jump_of_exactly_the_bound_is_accepted);
     RUN_TEST(test_one_segment_alone_has_no_joint);
     RUN_TEST(test_reference_of_the_wildest_valid_segment_is_finite);
     return UNITY_END();
