@@ -132,8 +132,8 @@ void app_tick(app_t *app);
 /// So many periods have passed without a step; to be told before the next app_tick, which moves time on by them.
 void app_note_overrun(app_t *app, uint32_t periods);
 
-/// Something that nobody can foresee, such as a clock's finest bits, before a frame is received: goes into the key of the
-/// next ARM. Without it the keys are the same after every start, as a run that is to be repeated wants it.
+/// Something that nobody can foresee, such as a clock's finest bits, before a frame is received: goes into the key of
+/// the next ARM. Without it the keys are the same after every start, as a run that is to be repeated wants it.
 void app_stir(app_t *app, uint32_t bits);
 
 /// Wheel speeds by the port's encoders, before app_tick; taken in DRIVE_MOTORS. Those that no wheel has are none.

@@ -28,7 +28,7 @@ typedef struct {
     bool peer_matches;
     bool requests_known;
     uint8_t request_counter;
-    uint64_t armed_ticks; // since ARM
+    uint64_t armed_ticks;    // since ARM
     bool located;            // has made a step since START
     uint32_t stopping_ticks; // since braking began
     uint64_t damaged, replayed, masqueraded;
