@@ -77,7 +77,7 @@ __attribute__((section(".vectors"), used, aligned(512))) static const vectors_t 
 /// As numbers, since C compares no pointers to two objects, and for C the ends of a section are two.
 static uint32_t words_between(const uint32_t *start, const uint32_t *end)
 {
-    return ((uintptr_t)end - (uintptr_t)start) / sizeof *start;
+    return (uint32_t)(((uintptr_t)end - (uintptr_t)start) / sizeof *start);
 }
 
 void reset_handler(void)
