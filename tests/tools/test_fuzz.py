@@ -16,8 +16,8 @@ TARGETS = BUILD / "tests" / "fuzz"
 PLANTED = {
     "torque outside TRACKING": (
         "firmware/app/pace.c",
-        "if (!mode_drives(app->mode)) {\n        return output;\n    }",
-        "if (app->store.segment_count == 0) {\n        return output;\n    }",
+        "compose_answers(app, &output);",
+        "compose_answers(app, &(control_output_t){.torque_Nm = {0.1f, 0.0f, 0.0f}});",
         "app",
         "zero unless TRACKING or STOPPING",
     ),
