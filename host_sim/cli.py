@@ -27,6 +27,7 @@ from host_sim.link import Link, open_bus
 from host_sim.paper import choose, write_paper
 from host_sim.pil import EmulatedBoard
 from host_sim.planner import PathRequest, plan
+from host_sim.report import PAGE_NAME
 from host_sim.robot import ROOT, load_robot
 from host_sim.run import LOG_FILE, BusLog, execute, run_folder
 from host_sim.scenario import Scenario
@@ -84,7 +85,7 @@ def summary(result: dict[str, Any], folder: Path) -> str:
         f"max torque {_figure(torque['max_Nm'])} N*m",
         f"{_figure(timing['real_time_factor'])} times real time",
     ]
-    return f"{result['status']}: {', '.join(figures)}; report: {folder / 'report.html'}"
+    return f"{result['status']}: {', '.join(figures)}; report: {folder / PAGE_NAME}"
 
 
 def _figure(value: float | None, factor: float = 1.0) -> str:
@@ -141,7 +142,7 @@ def run(
     out: Annotated[Path | None, typer.Option(help="folder of the results (default: a new one below runs/)")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="print result.json instead of the summary")] = False,
 ) -> None:
-    """Drive one path in closed loop and write trace.npz, result.json, bus.log, figures and report.html."""
+    """Drive one path in closed loop and write trace.npz, result.json, bus.log and report.html."""
     if not pace > 0.0:
         raise OmnibotError(f"--pace {pace:g} must be above 0")
     if not 1e-3 <= timeout <= 3600.0:
@@ -218,11 +219,11 @@ def paper(
     out: Annotated[Path | None, typer.Option(help="folder of the results (default: a new one below runs/)")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="print paper.json instead of the page's place")] = False,
 ) -> None:
-    """Draw every figure and table of the paper beside ours, and write them as figures, paper.html and paper.json."""
+    """Draw every figure and table of the paper beside ours, and write them as report.html and paper.json."""
     names, robot = choose(only), load_robot()
     folder = out or ROOT / "runs" / f"{datetime.now().astimezone():%Y-%m-%d-%H%M%S}-paper"
     numbers = write_paper(names, robot, folder, _command_line(), lambda line: typer.echo(line, err=True))
-    print(json.dumps(numbers, indent=2) if as_json else f"page: {folder / 'paper.html'}")  # noqa: T201
+    print(json.dumps(numbers, indent=2) if as_json else f"page: {folder / PAGE_NAME}")  # noqa: T201
 
 
 @app.command()

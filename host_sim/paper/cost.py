@@ -5,8 +5,6 @@ import time
 from typing import Any, NamedTuple
 
 import numpy as np
-from matplotlib import rc_context
-from matplotlib.figure import Figure
 
 from host_sim.codec import Codec
 from host_sim.inproc import Frame, load_firmware
@@ -14,7 +12,7 @@ from host_sim.paper.published import EPSILON_STAR, COST_s, DURATION_s, epsilon_g
 from host_sim.paper.section import Section, Table, figure_text
 from host_sim.paper.simulate import Case, Simulator
 from host_sim.planner import plan
-from host_sim.report import ACTUAL, LIMIT, STYLE
+from host_sim.report.figure import ACTUAL, STYLES, Axis, Figure, Panel, band, points, upright
 
 SPEED_m_per_s = 0.0936
 ROUNDS = 3  # of each time measured; the best counts
@@ -40,7 +38,7 @@ def fig3b(simulator: Simulator) -> Section:
     at_star = min(costs, key=lambda cost: abs(cost.epsilon - EPSILON_STAR))
     explicit = LAYER_RATE_N_m_per_s / (1e-8 * SPEED_m_per_s) / 2.0
     caption = (
-        "Above: evaluations of the plant's right-hand side a simulated second; deterministic. Below: wall-clock times "
+        "Left: evaluations of the plant's right-hand side a simulated second; deterministic. Right: wall-clock times "
         "as ratios to that of the smallest ε; shaded: the paper's range of ε."
     )
     return Section(
@@ -66,7 +64,7 @@ def fig3b(simulator: Simulator) -> Section:
             f"{figure_text(epsilon_of(0.8, 11))}; the text's (0.4, 5) is 5·10⁻⁵.",
         ],
         tables=[_table(costs, numbers)],
-        figures={"fig3b": (_draw(costs), caption)},
+        figures=[Figure("fig3b-cost", caption, _panels(costs), wide=True)],
         numbers={"fig3b": numbers},
     )
 
@@ -149,29 +147,30 @@ def _table(costs: list[Cost], numbers: dict[str, Any]) -> Table:
     return Table("Cost against ε", head, rows)
 
 
-def _draw(costs: list[Cost]) -> Figure:
+def _panels(costs: list[Cost]) -> list[Panel]:
     """Draw the evaluations, and both ratios of wall times."""
     epsilon = [cost.epsilon for cost in costs]
     plant = np.array([cost.plant_wall_s for cost in costs])
     firmware = np.array([cost.firmware_step_s for cost in costs])
-    with rc_context(STYLE):
-        figure = Figure(figsize=(9.0, 5.6))
-        upper, lower = figure.subplots(2, 1, sharex=True)
-        upper.set_title("Evaluations of the plant's right-hand side a simulated second (thousands)")
-        upper.plot(epsilon, [1e-3 * cost.evaluations_per_s for cost in costs], "-o", color=ACTUAL, markersize=4.0)
-        upper.set_ylim(bottom=0.0)
-        lower.set_title("Wall time, ratio to that of ε = 10⁻⁹")
-        lower.plot(epsilon, plant / plant[0], "-o", color=ACTUAL, markersize=4.0, label="plant, a simulated second")
-        lower.plot(epsilon, firmware / firmware[0], "--s", color="#D55E00", markersize=4.0, label="one control step")
-        lower.set_ylim(bottom=0.0)
-        lower.set_xscale("log")
-        lower.set_xlabel("ε (1/N)")
-        for axes in (upper, lower):
-            axes.axvspan(1e-9, EPSILON_STAR, color="#E8EEF2", zorder=0)
-            axes.axvline(EPSILON_STAR, color=LIMIT, linestyle=":")
-        upper.annotate(
-            "paper: 3500 s here", (EPSILON_STAR, 0.04), xycoords=upper.get_xaxis_transform(), xytext=(6, 0),
-            textcoords="offset points", color=LIMIT, fontsize=10.0,
-        )  # fmt: skip
-        figure.legend(loc="outside lower center", ncols=2)
-        return figure
+    evaluations = np.array([1e-3 * cost.evaluations_per_s for cost in costs])
+    stretch = Axis("ε (1/N)", (0.8e-9, 1.25e-2), log=True)
+    paper = [band(1e-9, EPSILON_STAR, along="x"), upright(EPSILON_STAR, "paper: 3500 s here")]
+    return [
+        Panel(
+            "Evaluations of the plant's right-hand side a simulated second (thousands)",
+            [points(epsilon, evaluations, "evaluations", ACTUAL, "circle")],
+            stretch,
+            Axis(zero=True, view=(0.0, 1.1 * float(evaluations.max()))),
+            paper,
+        ),
+        Panel(
+            "Wall time, ratio to that of ε = 10⁻⁹",
+            [
+                points(epsilon, plant / plant[0], "plant, a simulated second", ACTUAL, "circle"),
+                points(epsilon, firmware / firmware[0], "one control step", STYLES[1], "square"),
+            ],
+            stretch,
+            Axis(view=(0.0, 1.1 * float(max((plant / plant[0]).max(), (firmware / firmware[0]).max())))),
+            paper,
+        ),
+    ]

@@ -3,14 +3,11 @@
 from typing import Any
 
 import numpy as np
-from matplotlib import rc_context
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from host_sim.paper import published
 from host_sim.paper.section import Section, Table
 from host_sim.paper.simulate import Simulator
-from host_sim.report import ACTUAL, LIMIT, REFERENCE, STYLE
+from host_sim.report.figure import ACTUAL, STYLES, Axis, Figure, Panel, level, line
 from host_sim.robot import Array
 
 DRAWN_END_N = 2500.0
@@ -50,7 +47,7 @@ def fig2(simulator: Simulator) -> Section:  # noqa: ARG001  # all items are call
             "it is (4) with its own B and D: slope 1/ε at zero slip, peak 5 N.",
         ],
         tables=[Table("Numbers of Fig. 2", ["", "(4), Fy", "(5), Fx"], rows)],
-        figures={"fig2": (_draw(), caption)},
+        figures=[Figure("fig2-curves", caption, _panels(), wide=True)],
         numbers={"fig2": _numbers()},
     )
 
@@ -70,32 +67,37 @@ def _numbers() -> dict[str, Any]:
     }
 
 
-def _draw() -> Figure:
-    with rc_context(STYLE):
-        figure = Figure(figsize=(9.0, 4.2))
-        left, right = figure.subplots(1, 2, sharey=True)
-        x = _abscissa(601)
-        _draw_curve(left, published.longitudinal_force_N(x / 100.0), published.longitudinal_stiffness_N() / 100.0)
-        _draw_curve(right, published.lateral_force_N(x), published.lateral_stiffness_N())
-        left.set_title("(a) longitudinal force Fy of (4) (N)")
-        left.set_xlabel("100 s (%)")
-        right.set_title("(b) transversal force Fx of (5) (N)")
-        right.set_xlabel("slip angle δx (degrees)")
-        for axes, end_N in ((left, published.LONGITUDINAL_AXIS_END_N), (right, published.LATERAL_AXIS_END_N)):
-            for level in (-end_N, end_N):
-                axes.axhline(
-                    level, color=LIMIT, linestyle=(0, (1, 1.5)), linewidth=1.2, label="end of the printed axis"
-                )
-        handles, labels = left.get_legend_handles_labels()
-        figure.legend(handles[:3], labels[:3], loc="outside lower center", ncols=3)
-        return figure
+def _panels() -> list[Panel]:
+    """Draw both curves between the ends of their printed axes."""
+    x = _abscissa(601)
+    slip = published.longitudinal_force_N(x / 100.0)
+    angle = published.lateral_force_N(x)
+    return [
+        _panel(
+            "(a) Longitudinal force Fy of (4) (N)",
+            "100 s (%)",
+            slip,
+            published.longitudinal_stiffness_N() / 100.0,
+            published.LONGITUDINAL_AXIS_END_N,
+        ),
+        _panel(
+            "(b) Transversal force Fx of (5) (N)",
+            "slip angle δx (degrees)",
+            angle,
+            published.lateral_stiffness_N(),
+            published.LATERAL_AXIS_END_N,
+        ),
+    ]
 
 
-def _draw_curve(axes: Axes, force_N: Array, slope: float) -> None:
-    """Draw a curve, the line of its slope at 0, and the axes as printed but for the ends."""
+def _panel(title: str, abscissa: str, force_N: Array, slope: float, printed_end_N: float) -> Panel:
+    """Draw a curve, the line of its slope at 0, and the ends of the axis as printed."""
     x = _abscissa(len(force_N))
-    axes.plot(x, force_N, color=ACTUAL, linewidth=1.8, label="the curve")
-    axes.plot(x, slope * x, color=REFERENCE, linestyle="--", label="its slope at 0")
-    axes.set_xlim(-published.ABSCISSA_END, published.ABSCISSA_END)
-    axes.set_ylim(-1.05 * DRAWN_END_N, 1.05 * DRAWN_END_N)
-    axes.set_yticks(np.arange(-2500.0, 2501.0, 500.0))
+    end = published.ABSCISSA_END
+    return Panel(
+        title,
+        [line(x, force_N, "the curve", ACTUAL), line(x, slope * x, "its slope at 0", STYLES[1])],
+        Axis(abscissa, (-end, end)),
+        Axis(view=(-1.05 * DRAWN_END_N, 1.05 * DRAWN_END_N), unit="N"),
+        [level(printed_end_N, f"end of the printed axis, {printed_end_N:g} N"), level(-printed_end_N)],
+    )

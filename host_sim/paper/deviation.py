@@ -3,22 +3,18 @@
 from typing import Any, NamedTuple
 
 import numpy as np
-from matplotlib import rc_context
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from host_sim.paper.published import FLEXIBLE_EPSILON, SPEEDS_m_per_s, TABLE1_FLEXIBLE_m, TABLE1_RIGID_m
 from host_sim.paper.section import Section, Table, figure_text, length_text
 from host_sim.paper.simulate import Case, Simulator
 from host_sim.planner import RHOMBUS_DIAGONAL_M
-from host_sim.report import REFERENCE, STYLE
+from host_sim.report.figure import REFERENCE, STYLES, Axis, Figure, Panel, Style, curve, line, points
 
 RIGID = 0.0
 SOFT_EPSILON = 0.01  # nine orders of magnitude above the paper's, where slip can be seen
 CORNERS = ("sharp", "rounded")
 CORNER_m = np.array([0.0, RHOMBUS_DIAGONAL_M / 2.0])
 NAMES = {FLEXIBLE_EPSILON: "ε = 4·10⁻¹¹", RIGID: "ε = 0", SOFT_EPSILON: "ε = 0.01"}
-STYLES = (("#0072B2", "-"), ("#D55E00", "--"), ("#009E73", "-."), ("#CC79A7", (0, (4, 1, 1, 1, 1, 1))))
 
 
 class Cell(NamedTuple):
@@ -96,9 +92,14 @@ def table1(simulator: Simulator) -> Section:
             "speeds; so the runs start in motion, 2 s before the corner.",
         ],
         tables=[_deviation_table(numbers["table1_all"], corner) for corner in CORNERS],
-        figures={
-            "table1": (_draw_table1(numbers["table1_all"]), "Path deviation against speed; both axes logarithmic.")
-        },
+        figures=[
+            Figure(
+                "table1-deviation",
+                "Largest distance from the path against speed; both axes logarithmic.",
+                [_deviation_panel(numbers["table1_all"])],
+                wide=True,
+            )
+        ],
         numbers=numbers,
     )
 
@@ -121,32 +122,32 @@ def _deviation_table(cells: list[dict[str, Any]], corner: str) -> Table:
     return Table(f"{corner.capitalize()} corner", head, rows)
 
 
-def _draw_table1(cells: list[dict[str, Any]]) -> Figure:
+def _deviation_panel(cells: list[dict[str, Any]]) -> Panel:
     """Draw the deviation over the speed: the paper's two columns and four of ours."""
     lines = (
-        (FLEXIBLE_EPSILON, "sharp", "ours, sharp corner, ε = 4·10⁻¹¹", STYLES[0][0], "o", "-"),
-        (RIGID, "sharp", "ours, sharp corner, rigid", STYLES[1][0], "x", "none"),
-        (FLEXIBLE_EPSILON, "rounded", "ours, rounded corner, ε = 4·10⁻¹¹", STYLES[2][0], "s", "-"),
-        (RIGID, "rounded", "ours, rounded corner, rigid", STYLES[3][0], "+", "none"),
+        (FLEXIBLE_EPSILON, "sharp", "ours, sharp corner, ε = 4·10⁻¹¹", STYLES[0], "circle"),
+        (RIGID, "sharp", "ours, sharp corner, rigid", STYLES[1]._replace(width_px=0.0), "x"),
+        (FLEXIBLE_EPSILON, "rounded", "ours, rounded corner, ε = 4·10⁻¹¹", STYLES[2], "square"),
+        (RIGID, "rounded", "ours, rounded corner, rigid", STYLES[3]._replace(width_px=0.0), "cross"),
     )
     speeds = 100.0 * np.array(SPEEDS_m_per_s)
-    with rc_context(STYLE):
-        figure = Figure(figsize=(9.0, 4.6))
-        axes = figure.subplots()
-        axes.set_title("Path deviation at the first corner, order 1 (mm)")
-        axes.loglog(speeds, 1e3 * np.array(TABLE1_RIGID_m), ":D", color="#555555", label="paper, ε = 0")
-        axes.loglog(speeds, 1e3 * np.array(TABLE1_FLEXIBLE_m), "--^", color="black", label="paper, ε = 4·10⁻¹¹")
-        for epsilon, corner, label, colour, marker, style in lines:
-            ours = [
-                1e3 * c["ours_m"] for c in cells if (c["epsilon"], c["order"], c["corner"]) == (epsilon, "1", corner)
-            ]
-            size = 6.0 if style == "-" else 11.0
-            axes.loglog(speeds, ours, color=colour, marker=marker, markersize=size, linestyle=style, label=label)
-        axes.set_xlabel("speed (cm/s)")
-        axes.set_xticks(speeds, [f"{speed:.2f}" for speed in speeds])
-        axes.minorticks_off()
-        figure.legend(loc="outside right center")
-        return figure
+    printed = Style("--ink", "dash")
+    drawn = [
+        points(speeds, 1e3 * np.array(TABLE1_RIGID_m), "paper, ε = 0", Style("--muted", "dot"), "diamond"),
+        points(speeds, 1e3 * np.array(TABLE1_FLEXIBLE_m), "paper, ε = 4·10⁻¹¹", printed, "triangle-up"),
+    ]
+    for epsilon, corner, label, style, symbol in lines:
+        wanted = (epsilon, "1", corner)
+        ours = [1e3 * c["ours_m"] for c in cells if (c["epsilon"], c["order"], c["corner"]) == wanted]
+        drawn.append(points(speeds, ours, label, style, symbol))
+    ticks = {float(speed): f"{speed:.2f}" for speed in speeds}
+    return Panel(
+        "Path deviation at the first corner, order 1 (mm)",
+        drawn,
+        Axis("speed (cm/s)", (2.1, 10.4), log=True, ticks=ticks),
+        Axis(log=True, unit="mm"),
+        height_px=360,
+    )
 
 
 def fig5(simulator: Simulator) -> Section:
@@ -155,7 +156,6 @@ def fig5(simulator: Simulator) -> Section:
         "The tracked point around the first corner at the paper's four speeds, in mm from the corner; above the sharp "
         "corner, below the rounded one; left the flexible, right the rigid plant. Order 1."
     )
-    names = {FLEXIBLE_EPSILON: "flexible", RIGID: "rigid"}
     gap = max(_largest_gap_m(simulator, speed, corner) for speed in SPEEDS_m_per_s for corner in CORNERS)
     return Section(
         title="Fig. 5: the path around the first corner",
@@ -167,7 +167,7 @@ def fig5(simulator: Simulator) -> Section:
             f"same torques. At the same instants the two are at most {figure_text(gap)} m apart.",
             "Not reproduced: the larger deviations of Fig. 5b; see Table 1.",
         ],
-        figures={"fig5": (_draw_corners(simulator, names), caption)},
+        figures=[Figure("fig5-corner", caption, _corner_panels(simulator), wide=True)],
         numbers={"fig5": {"largest_gap_flexible_rigid_m": gap}},
     )
 
@@ -181,29 +181,30 @@ def _largest_gap_m(simulator: Simulator, speed_m_per_s: float, corner: str) -> f
     return float(np.linalg.norm(flexible - rigid, axis=1).max())
 
 
-def _draw_corners(simulator: Simulator, names: dict[float, str]) -> Figure:
+def _corner_panels(simulator: Simulator) -> list[Panel]:
     """Draw a panel for each corner and plant."""
-    with rc_context(STYLE):
-        figure = Figure(figsize=(9.0, 7.6))
-        panels = figure.subplots(2, 2, sharex="row", sharey="row")
-        for row, (corner, half_mm) in enumerate((("sharp", 8.0), ("rounded", 3.0))):
-            for column, epsilon in enumerate(names):
-                axes = panels[row, column]
-                axes.set_title(f"{corner} corner, {NAMES[epsilon]} (mm)")
-                _draw_corner(axes, simulator, epsilon, corner)
-                axes.set_xlim(-half_mm, half_mm)
-                axes.set_ylim(-1.3 * half_mm, 0.2 * half_mm)
-                axes.set_aspect("equal")
-        handles, labels = panels[0, 0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=5)
-        return figure
+    return [
+        _corner_panel(simulator, epsilon, corner, half_mm)
+        for corner, half_mm in (("sharp", 8.0), ("rounded", 3.0))
+        for epsilon in (FLEXIBLE_EPSILON, RIGID)
+    ]
 
 
-def _draw_corner(axes: Axes, simulator: Simulator, epsilon: float, corner: str) -> None:
+def _corner_panel(simulator: Simulator, epsilon: float, corner: str, half_mm: float) -> Panel:
     """Draw the path and the four runs around the corner."""
     reach = np.array([20.0, 0.0, -20.0])
-    axes.plot(reach, -np.abs(reach), color=REFERENCE, linewidth=4.0, label="path")
-    for speed, (colour, style) in zip(SPEEDS_m_per_s, STYLES, strict=True):
+    drawn = [line(reach, -np.abs(reach), "path", REFERENCE)]
+    for speed, style in zip(SPEEDS_m_per_s, STYLES, strict=False):
         trace = simulator.run(Cell(speed, epsilon, "1", corner).case).trace
-        x, y = (1e3 * (trace.point - CORNER_m)).T
-        axes.plot(x, y, color=colour, linestyle=style, label=f"{100.0 * speed:.2f} cm/s")
+        place_mm = 1e3 * (trace.point - CORNER_m)
+        seen = np.abs(place_mm).max(axis=1) < 3.0 * half_mm
+        x, y = place_mm[seen, 0], place_mm[seen, 1]
+        drawn.append(curve(x, y, f"{100.0 * speed:.2f} cm/s", style))
+    return Panel(
+        f"{corner.capitalize()} corner, {NAMES[epsilon]} (mm)",
+        drawn,
+        Axis("x1 (mm)", (-half_mm, half_mm)),
+        Axis("x2 (mm)", (-1.3 * half_mm, 0.2 * half_mm)),
+        equal=True,
+        height_px=320,
+    )

@@ -3,13 +3,11 @@
 from typing import Any
 
 import numpy as np
-from matplotlib import rc_context
-from matplotlib.figure import Figure
 
 from host_sim.paper.published import FLEXIBLE_EPSILON, DURATION_s, MU_RANGES_m_per_s, SPEEDS_m_per_s
 from host_sim.paper.section import Section, Table, figure_text
 from host_sim.paper.simulate import Case, Outcome, Simulator
-from host_sim.report import STYLE, WHEEL_STYLES
+from host_sim.report.figure import STYLES, Axis, Figure, Panel, curve, line, points
 from host_sim.robot import Array, Robot
 from host_sim.trace import Trace
 
@@ -31,7 +29,7 @@ def fig4(simulator: Simulator) -> Section:
     }
     captions = (
         "µ of the firmware, read from its SLIP frames, over time: left the sharp, right the rounded corner.",
-        "The same as curves in space, as the paper shows it; the cross is µ = 0.",
+        "The paper's curve in space, seen along two of its axes; the cross is µ = 0.",
     )
     return Section(
         title="Fig. 4: the fast variable µ",
@@ -51,7 +49,10 @@ def fig4(simulator: Simulator) -> Section:
             "thousand times smaller than µ1, belongs to another heading, which the paper leaves uncontrolled.",
         ],
         tables=[_table(ranges, final)],
-        figures={"fig4-time": (_draw_time(outcomes), captions[0]), "fig4-space": (_draw_space(mu), captions[1])},
+        figures=[
+            Figure("fig4-time", captions[0], _time_panels(outcomes), wide=True),
+            Figure("fig4-space", captions[1], _space_panels(mu), wide=True),
+        ],
         numbers={"fig4": _numbers(ranges, final, force_N)},
     )
 
@@ -117,37 +118,30 @@ def _numbers(ranges: dict[str, list[tuple[float, float]]], final: dict[str, floa
     }
 
 
-def _draw_time(outcomes: dict[str, Outcome]) -> Figure:
+def _time_panels(outcomes: dict[str, Outcome]) -> list[Panel]:
     """Draw µ over time."""
-    with rc_context(STYLE):
-        figure = Figure(figsize=(9.0, 3.8))
-        panels = figure.subplots(1, 2, sharey=True)
-        for axes, (corner, outcome) in zip(panels, outcomes.items(), strict=True):
-            axes.set_title(f"µ, {corner} corner (m/s)")
-            time_s = _shown(outcome.trace, outcome.trace.time_s)
-            for wheel, (colour, style) in enumerate(WHEEL_STYLES):
-                values = _shown(outcome.trace, outcome.trace.mu[:, wheel])
-                width = 3.0 if wheel == 0 else 1.3  # µ3 lies on µ1
-                axes.plot(time_s, values, color=colour, linestyle=style, linewidth=width, label=f"µ{wheel + 1}")
-            axes.set_xlabel("time (s); the corner is at 2 s")
-            axes.set_xlim(1.5, 4.5)
-        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
-        return figure
+    panels = []
+    for corner, outcome in outcomes.items():
+        time_s, mu = (_shown(outcome.trace, values) for values in (outcome.trace.time_s, outcome.trace.mu))
+        drawn = [
+            # µ3 lies on µ1
+            curve(time_s, mu[:, k], f"µ{k + 1}", STYLES[k]._replace(width_px=width))
+            for k, width in enumerate((4.0, 1.5, 1.5))
+        ]
+        axis = Axis("time (s); the corner is at 2 s", (1.5, 4.5))
+        panels.append(Panel(f"µ, {corner} corner (m/s)", drawn, axis, Axis(unit="m/s"), group="fig4"))
+    return panels
 
 
-def _draw_space(mu: dict[str, Array]) -> Figure:
-    """Draw µ1, µ2, µ3 as a curve in space."""
-    with rc_context(STYLE):
-        figure = Figure(figsize=(9.0, 4.2))
-        for place, (corner, rows) in enumerate(mu.items(), start=1):
-            axes: Any = figure.add_subplot(1, 2, place, projection="3d")
-            axes.set_title(f"{corner} corner", loc="center")
-            axes.plot(*rows.T, color=WHEEL_STYLES[0][0])
-            axes.plot([0.0], [0.0], [0.0], "x", color="#D55E00", markersize=9.0, markeredgewidth=2.0)
-            axes.set_xlabel("µ1 (m/s)", labelpad=6.0)
-            axes.set_ylabel("µ2 (m/s)", labelpad=6.0)
-            axes.set_zlabel("µ3 (m/s)", labelpad=12.0)
-            axes.locator_params(nbins=4)
-            axes.tick_params(labelsize=9.0)
-            axes.set_box_aspect((1.0, 1.0, 0.8), zoom=0.82)
-        return figure
+def _space_panels(mu: dict[str, Array]) -> list[Panel]:
+    """Draw µ2 and µ3 over µ1."""
+    panels = []
+    for corner, rows in mu.items():
+        for other in (1, 2):
+            drawn = [
+                line(rows[:, 0], rows[:, other], "µ", STYLES[0]),
+                points([0.0], [0.0], "0", STYLES[1]._replace(width_px=0.0), "x"),
+            ]
+            title = f"µ{other + 1} over µ1, {corner} corner (m/s)"
+            panels.append(Panel(title, drawn, Axis("µ1 (m/s)"), Axis(f"µ{other + 1} (m/s)"), equal=True))
+    return panels

@@ -4,16 +4,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from matplotlib.figure import Figure
+from host_sim.report.figure import Figure
+from host_sim.report.page import Table
 
-
-@dataclass(frozen=True)
-class Table:
-    """A table of texts; the first entry of a row names it."""
-
-    caption: str
-    head: Sequence[str]
-    rows: Sequence[Sequence[str]]
+__all__ = ["Section", "Table", "figure_text", "length_text"]
 
 
 @dataclass(frozen=True)
@@ -31,7 +25,7 @@ class Section:
     tables
         The numbers.
     figures
-        Figures and their captions, by the name of the file.
+        Drawn in this order.
     numbers
         Its entries of ``paper.json``.
     """
@@ -41,7 +35,7 @@ class Section:
     ours: str
     remarks: Sequence[str]
     tables: Sequence[Table] = ()
-    figures: Mapping[str, tuple[Figure, str]] = field(default_factory=dict)
+    figures: Sequence[Figure] = ()
     numbers: Mapping[str, Any] = field(default_factory=dict)
 
 

@@ -5,9 +5,6 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from matplotlib import rc_context
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from host_sim.drive import Status
 from host_sim.metrics import tracking_error
@@ -15,7 +12,20 @@ from host_sim.paper.published import EPSILON_STAR, predicted_epsilon_star
 from host_sim.paper.section import Section, Table, figure_text, length_text
 from host_sim.paper.simulate import Case, Outcome, Simulator
 from host_sim.planner import RHOMBUS_DIAGONAL_M
-from host_sim.report import ACTUAL, LIMIT, REFERENCE, STYLE
+from host_sim.report.figure import (
+    REFERENCE,
+    STYLES,
+    Axis,
+    Drawn,
+    Figure,
+    Panel,
+    Style,
+    curve,
+    level,
+    line,
+    points,
+    upright,
+)
 from host_sim.robot import Array, Robot
 
 SPEED_m_per_s = 0.5
@@ -94,10 +104,10 @@ def fig3a(simulator: Simulator) -> Section:
         f"predicted {figure_text(predicted)}",
         remarks=_remarks(found, predicted, at_paper),
         tables=[_table(found, _at_end(simulator, bounds))],
-        figures={
-            "fig3a-epsilon-star": (_draw_found(found, predicted), captions[0]),
-            "fig3a-runs": (_draw_runs(shown), captions[1]),
-        },
+        figures=[
+            Figure("fig3a-epsilon-star", captions[0], [_found_panel(found, predicted)], wide=True),
+            Figure("fig3a-runs", captions[1], _run_panels(shown), wide=True),
+        ],
         numbers={"fig3a": _numbers(found, predicted, at_paper)},
     )
 
@@ -166,75 +176,76 @@ def _numbers(found: dict[str, dict[str, float]], predicted: float, at_paper: Out
     }
 
 
-def _draw_found(found: dict[str, dict[str, float]], predicted: float) -> Figure:
+def _found_panel(found: dict[str, dict[str, float]], predicted: float) -> Panel:
     """Draw ε* of each order between the paper's and the prediction."""
-    with rc_context(STYLE):
-        figure = Figure(figsize=(9.0, 3.6))
-        axes = figure.subplots()
-        axes.set_title("Largest ε that tracks, at 0.5 m/s around the rounded corner (1/N)")
-        axes.axvline(EPSILON_STAR, color="black", linestyle=":", label="paper, 5·10⁻⁵")
-        axes.axvline(predicted, color=REFERENCE, linewidth=3.0, label=f"predicted for the series, {predicted:.3g}")
-        for bounds, shift, marker, colour in (("off", -0.15, "o", ACTUAL), ("on", 0.15, "s", "#D55E00")):
-            values = np.array([found[order][bounds] for order in ORDERS])
-            places = np.arange(len(ORDERS)) + shift
-            shown = np.minimum(values, GRID[-1])
-            axes.plot(shown, places, marker, color=colour, label=f"bounds {bounds}")
-            beyond = np.isinf(values)
-            axes.plot(1.15 * shown[beyond], places[beyond], ">", color=colour)
-        axes.set_xscale("log")
-        axes.set_xlim(2e-5, 0.6)
-        axes.set_yticks(range(len(ORDERS)), [_name(order) for order in ORDERS])
-        axes.invert_yaxis()
-        figure.legend(loc="outside lower center", ncols=4)
-        return figure
+    drawn: list[Drawn] = []
+    for bounds, shift, symbol, style in (("off", -0.15, "circle", STYLES[0]), ("on", 0.15, "square", STYLES[1])):
+        values = np.array([found[order][bounds] for order in ORDERS])
+        symbols = ["triangle-right" if math.isinf(value) else symbol for value in values]
+        shown, rows = np.minimum(values, GRID[-1]), [place + shift for place in range(len(ORDERS))]
+        dots = points(shown, rows, f"bounds {bounds}", style._replace(width_px=0.0), symbol)
+        dots["marker"] = {**dots["marker"], "symbol": symbols}
+        drawn.append(dots | {"hovertemplate": f"bounds {bounds}: %{{x:.3g}} 1/N<extra></extra>"})
+    names = {float(place): _name(order) for place, order in enumerate(ORDERS)}
+    return Panel(
+        "Largest ε that tracks, at 0.5 m/s around the rounded corner (1/N)",
+        drawn,
+        Axis("ε (1/N)", (2e-5, 0.6), log=True),
+        Axis(view=(len(ORDERS) - 0.5, -0.5), ticks=names),
+        [
+            upright(EPSILON_STAR, "paper", Style("--ink", "dot")),
+            upright(predicted, "predicted for the series", REFERENCE._replace(width_px=3.0)),
+        ],
+    )
 
 
-def _shown(
-    simulator: Simulator, bounds: dict[str, tuple[tuple[str, str], ...]]
-) -> list[tuple[str, Outcome, str, str, float]]:
-    """Run what the second figure shows: label, outcome, colour, line style and width."""
+def _shown(simulator: Simulator, bounds: dict[str, tuple[tuple[str, str], ...]]) -> list[tuple[str, Outcome, Style]]:
+    """Run what the second figure shows: label, outcome and style."""
     past = f"ε = {SHOWN_EPSILON:g}"
     return [
         (
             f"exact, {past}, bounds off",
             simulator.run(case_of("exact", SHOWN_EPSILON, bounds["off"])),
-            "#D55E00",
-            "-",
-            1.3,
+            STYLES[1]._replace(dash="solid"),
         ),
-        (f"exact, {past}, bounds on", simulator.run(case_of("exact", SHOWN_EPSILON, bounds["on"])), ACTUAL, "-", 1.3),
-        (f"observer, {past}", simulator.run(case_of("observer", SHOWN_EPSILON, bounds["on"])), "#009E73", "--", 1.6),
-        ("order 1, ε = 5·10⁻⁵", simulator.run(case_of("1", EPSILON_STAR, bounds["off"])), "black", ":", 1.6),
+        (f"exact, {past}, bounds on", simulator.run(case_of("exact", SHOWN_EPSILON, bounds["on"])), STYLES[0]),
+        (f"observer, {past}", simulator.run(case_of("observer", SHOWN_EPSILON, bounds["on"])), STYLES[2]),
+        (
+            "order 1, ε = 5·10⁻⁵",
+            simulator.run(case_of("1", EPSILON_STAR, bounds["off"])),
+            Style("--ink", "dot", 2.0),
+        ),
     ]
 
 
-def _draw_runs(shown: list[tuple[str, Outcome, str, str, float]]) -> Figure:
+def _run_panels(shown: list[tuple[str, Outcome, Style]]) -> list[Panel]:
     """Draw the runs from above, and their errors over time."""
-    with rc_context(STYLE):
-        figure = Figure(figsize=(9.0, 4.6))
-        above, errors = figure.subplots(1, 2)
-        _draw_path(above)
-        for label, outcome, colour, style, width in shown:
-            trace = outcome.trace
-            line: dict[str, Any] = {"color": colour, "linestyle": style, "linewidth": width}
-            above.plot(*trace.point.T, label=label, **line)
-            errors.plot(trace.time_s, 1e3 * tracking_error(trace), **line)
-            if outcome.status is not Status.COMPLETED:
-                errors.plot(trace.time_s[-1], 1e3 * tracking_error(trace)[-1], "x", color=colour, markersize=9.0)
-        errors.axhline(1e3 * ERROR_LIMIT_m, color=LIMIT, linestyle=(0, (1, 1.5)), linewidth=1.0)
-        errors.set_yscale("log")
-        errors.set_ylim(bottom=3e-3)
-        errors.set_title("Tracking error (mm); ×: lost")
-        errors.set_xlabel("time (s); the corner is at 0.5 s")
-        figure.legend(*above.get_legend_handles_labels(), loc="outside lower center", ncols=3)
-        return figure
-
-
-def _draw_path(axes: Axes) -> None:
-    """Draw the sides that meet in the first corner, and how much of them is shown."""
     half = RHOMBUS_DIAGONAL_M / 2.0
-    axes.plot([half, 0.0, -half], [0.0, half, 0.0], color=REFERENCE, linewidth=4.0, label="path")
-    axes.set_title("Path from above (m)")
-    axes.set_xlim(-1.6, 0.8)
-    axes.set_ylim(half - 1.4, half + 1.0)
-    axes.set_aspect("equal")
+    above = [line([half, 0.0, -half], [0.0, half, 0.0], "path", REFERENCE)]
+    errors: list[Drawn] = []
+    for label, outcome, style in shown:
+        trace, error_mm = outcome.trace, 1e3 * tracking_error(outcome.trace)
+        rows = np.unique(np.linspace(0, len(trace) - 1, 2000).astype(int))
+        above.append(line(trace.point[rows, 0], trace.point[rows, 1], label, style))
+        errors.append(curve(trace.time_s, error_mm, label, style))
+        if outcome.status is not Status.COMPLETED:
+            lost = style._replace(width_px=0.0)
+            errors.append(points(trace.time_s[-1:], error_mm[-1:], label, lost, "x") | {"hoverinfo": "skip"})
+    return [
+        Panel(
+            "Path from above (m)",
+            above,
+            Axis("x1 (m)", (-1.6, 0.8)),
+            Axis("x2 (m)", (half - 1.4, half + 1.0)),
+            equal=True,
+            height_px=400,
+        ),
+        Panel(
+            "Tracking error (mm); ×: lost",
+            errors,
+            Axis("time (s); the corner is at 0.5 s"),
+            Axis(log=True, unit="mm", view=(3e-3, 1e4)),
+            [level(1e3 * ERROR_LIMIT_m, f"tracking is below {1e3 * ERROR_LIMIT_m:g} mm")],
+            height_px=400,
+        ),
+    ]

@@ -10,11 +10,11 @@ from host_sim.paper.cost import fig3b
 from host_sim.paper.curves import fig2
 from host_sim.paper.deviation import fig5, table1
 from host_sim.paper.fast_variable import fig4
-from host_sim.paper.page import PAGE_NAME, compose
+from host_sim.paper.page import paper_page
 from host_sim.paper.section import Section
 from host_sim.paper.simulate import Simulator
 from host_sim.paper.stability import fig3a
-from host_sim.report import render_png
+from host_sim.report import PAGE_NAME
 from host_sim.robot import Robot
 from host_sim.run import run_folder
 from host_sim.trace import write_atomically
@@ -46,7 +46,7 @@ def choose(only: str | None) -> list[str]:
 def write_paper(
     names: list[str], robot: Robot, folder: Path, command: str, progress: Callable[[str], None]
 ) -> dict[str, Any]:
-    """Compute items and write their figures, ``paper.html`` and ``paper.json``; returns what the latter holds.
+    """Compute items and write ``report.html`` and ``paper.json``; returns what the latter holds.
 
     Parameters
     ----------
@@ -63,17 +63,13 @@ def write_paper(
     """
     simulator = Simulator(robot)
     sections: dict[str, Section] = {}
-    pictures: dict[str, bytes] = {}
     with run_folder(folder):
         for count, name in enumerate(names, start=1):
             section = ITEMS[name](simulator)
             sections[name] = section
-            for picture, (figure, _) in section.figures.items():
-                pictures[picture] = render_png(figure)
-                write_atomically(folder / f"{picture}.png", pictures[picture])
             progress(f"{count}/{len(names)} {name}: paper {section.paper}; ours {section.ours}")
         numbers = {key: value for section in sections.values() for key, value in section.numbers.items()}
         text = json.dumps(numbers, indent=2, allow_nan=False) + "\n"
         write_atomically(folder / JSON_NAME, text.encode())
-        write_atomically(folder / PAGE_NAME, compose(sections, pictures, command).encode())
+        write_atomically(folder / PAGE_NAME, paper_page(sections, command).encode())
     return numbers

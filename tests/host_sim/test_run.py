@@ -158,9 +158,7 @@ def test_result_holds_every_input_and_figure(tmp_path: Path) -> None:
     assert result["bus"]["frames"] > 5 * 1201
     assert 0.5 < result["bus"]["load_fraction_at_1Mbps"] < 0.7
     assert result["bus"]["dropped"] == 0
-    assert {"path.png", "error.png", "slip.png", "torque.png", "report.html", "bus.log"} <= {
-        file.name for file in tmp_path.iterdir()
-    }
+    assert {"report.html", "result.json", "trace.npz", "bus.log"} <= {file.name for file in tmp_path.iterdir()}
 
 
 def test_setting_by_name_is_that_of_the_option(tmp_path: Path) -> None:

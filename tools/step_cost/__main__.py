@@ -7,7 +7,9 @@ in cycles.py, for memory without wait states; what the flash of a board adds is 
 import argparse
 import importlib.util
 import json
+import shlex
 import sys
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -48,7 +50,12 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--host", type=Path, default=HOST, help="folder of the host build (default: build/host)")
     parser.add_argument("--budgets", type=Path, default=BUDGETS, help="default: tests/bench/budgets.toml")
     parser.add_argument("--json", action="store_true", help="print the result as JSON instead of tables")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="write cost.json and report.html there")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="folder of cost.json and report.html (default: a new one below runs/)",
+    )
     parser.add_argument(
         "--use", type=Path, metavar="FILE", help="figures of an earlier run, its cost.json; measure nothing"
     )
@@ -120,9 +127,12 @@ def earlier_result(file: Path) -> dict[str, Any]:
 
 def tell(result: dict[str, Any], options: argparse.Namespace) -> None:
     """Print and write the result, and hold it to the budgets."""
-    if options.out is not None:
-        limits = budgets.cycle_limits(options.budgets)
-        print(f"page: {page.write(options.out, result, limits)}", file=sys.stderr)
+    folder = options.out
+    if folder is None and not (options.check or options.update):
+        folder = ROOT / "runs" / f"{datetime.now().astimezone():%Y-%m-%d-%H%M%S}-cost"
+    if folder is not None:
+        limits, command = budgets.cycle_limits(options.budgets), shlex.join(["omnibot", "cost", *sys.argv[1:]])
+        print(f"report: {page.write(folder, result, limits, command)}", file=sys.stderr)
     if options.json:
         print(json.dumps(result, indent=2))
     elif not (options.check or options.update):
