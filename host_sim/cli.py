@@ -28,13 +28,14 @@ from host_sim.paper import choose, write_paper
 from host_sim.pil import EmulatedBoard
 from host_sim.planner import PathRequest, plan
 from host_sim.report import PAGE_NAME
+from host_sim.report.compare import load_runs, write_comparison
 from host_sim.robot import ROOT, load_robot
 from host_sim.run import LOG_FILE, BusLog, execute, run_folder
 from host_sim.scenario import Scenario
 from host_sim.sensors import Sensors
 from host_sim.soak import soak
 from host_sim.sweep import SWEEPS, run_sweep, table
-from host_sim.trace import Trace, compare, write_atomically
+from host_sim.trace import compare, write_atomically
 
 WITHOUT_CLOCK = {
     "inproc": "the firmware in-process has no timer of its own",
@@ -198,17 +199,29 @@ def _command_line() -> str:
 
 @app.command("compare")
 def compare_runs(
-    first: Annotated[Path, typer.Argument(help="folder of a run")],
-    second: Annotated[Path, typer.Argument(help="folder of another")],
+    folders: Annotated[list[Path], typer.Argument(metavar="RUN RUN …", help="folders of two or more runs")],
+    out: Annotated[Path | None, typer.Option(help="folder of the page (default: a new one below runs/)")] = None,
 ) -> None:
-    """Say whether the traces of two runs are the same, byte for byte, and where not."""
-    a, b = Trace.load(first), Trace.load(second)
-    differences = compare(a, b)
-    for line in differences:
-        print(line)  # noqa: T201
-    if differences:
-        raise OmnibotError(f"{first} and {second} differ in {len(differences)} arrays")
-    print(f"identical: {first} and {second} agree in every array, all {len(a)} ticks, byte for byte")  # noqa: T201
+    """Put runs side by side on a page, and say whether their traces are the same, byte for byte, and where not.
+
+    As with diff, the exit code is 0 if all of them are the same, 1 if one differs from the first.
+    """
+    if len(folders) < 2:
+        raise OmnibotError(f"compare {folders[0]}: needs a second run to hold it against")
+    first, *others = runs = load_runs(folders)
+    differences = {run.name: compare(first.trace, run.trace) for run in others}
+    folder = out or _new_folder("compare")
+    page = write_comparison(folder, runs, differences, load_robot(), _command_line())
+    print(f"report: {page}")  # noqa: T201
+    different = [(name, lines) for name, lines in differences.items() if lines]
+    for name, lines in different:
+        for line in lines:
+            print(line if len(others) == 1 else f"{name}: {line}")  # noqa: T201
+    if different:
+        what = "; ".join(f"{first.name} and {name} differ in {len(lines)} arrays" for name, lines in different)
+        raise OmnibotError(what)
+    same = " and ".join(map(str, folders))
+    print(f"identical: {same} agree in every array, all {len(first.trace)} ticks, byte for byte")  # noqa: T201
 
 
 @app.command()

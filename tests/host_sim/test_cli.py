@@ -96,3 +96,26 @@ def test_run_works_from_anywhere(tmp_path: Path) -> None:
 def test_unknown_sweep_and_bus_name_what_there_is() -> None:
     assert_one_line(omnibot("sweep", "floors"), "robustness")
     assert_one_line(omnibot("run", "--bus", "lo"), "tools/with-vcan")
+
+
+@pytest.mark.usefixtures("compiled")
+def test_compare_writes_a_page_and_its_exit_code_is_that_of_diff(tmp_path: Path) -> None:
+    for name, order in (("a", "1"), ("b", "1"), ("c", "2")):
+        assert omnibot("run", *SHORT, "--order", order, "--out", str(tmp_path / name)).returncode == 0
+    page = tmp_path / "page"
+    same = omnibot("compare", str(tmp_path / "a"), str(tmp_path / "b"), "--out", str(page))
+    assert same.returncode == 0
+    assert f"report: {page / 'report.html'}" in same.stdout
+    assert "agree in every array, all 1201 ticks, byte for byte" in same.stdout
+    three = omnibot("compare", *(str(tmp_path / name) for name in "abc"), "--out", str(page))
+    assert_one_line(three, "a and c differ in")
+    assert "c: pose: " in three.stdout
+    assert "b: " not in three.stdout
+
+
+def test_compare_of_one_run_and_of_damaged_results_says_what_is_wrong(tmp_path: Path) -> None:
+    assert_one_line(omnibot("compare", str(tmp_path)), "needs a second run")
+    assert_one_line(omnibot("compare", str(tmp_path), str(tmp_path)), "there is no trace")
+    assert omnibot("run", *SHORT, "--out", str(tmp_path)).returncode == 0
+    (tmp_path / "result.json").write_text("{")
+    assert_one_line(omnibot("compare", str(tmp_path), str(tmp_path)), "result.json is damaged")

@@ -4,6 +4,7 @@ import base64
 import itertools
 import json
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -14,6 +15,7 @@ import pytest
 
 from host_sim.errors import OmnibotError
 from host_sim.report import write_report
+from host_sim.report.compare import names_of
 from host_sim.report.figure import ACTUAL, Axis, Panel, level, line, numbers, thinned, upright
 from host_sim.report.path import corners, distance_to_polyline, outline, path_figure, shown
 from host_sim.report.run import figures, slip_panel, title_of
@@ -460,3 +462,15 @@ def test_report_below_a_regular_file_names_the_folder(tmp_path: Path) -> None:
 
     with pytest.raises(OmnibotError, match="choose another folder"):
         write_report(tmp_path / "file" / "run", make_trace(10), RESULT, SQUARE)
+
+
+@pytest.mark.parametrize(
+    ("folders", "names"),
+    [
+        (["runs/a", "runs/b"], ["a", "b"]),
+        (["x/run", "y/run"], ["x/run", "y/run"]),
+        (["run", "run"], ["run (1)", "run (2)"]),
+    ],
+)
+def test_runs_get_the_shortest_names_that_differ(folders: Sequence[str], names: list[str]) -> None:
+    assert names_of([Path(folder) for folder in folders]) == names
