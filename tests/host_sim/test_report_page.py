@@ -6,7 +6,7 @@ import re
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import pytest
 from playwright.sync_api import Browser, Page, sync_playwright
@@ -65,7 +65,7 @@ class Seen:
         self.page.goto((folder / "report.html").as_uri())
         self.page.wait_for_selector("html[data-drawn]", state="attached", timeout=60_000)
 
-    def __enter__(self) -> "Seen":
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
