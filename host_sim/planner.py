@@ -8,13 +8,12 @@ ramps and corner blends are rounded up to an even number of them: the accelerati
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
-from itertools import islice, pairwise
+from itertools import islice
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from host_sim.curves import Circle, Curve, Lemniscate, Line
 from host_sim.errors import OmnibotError
 from host_sim.trajectory import (
     AXES,
@@ -27,6 +26,7 @@ from host_sim.trajectory import (
     Polyline,
     Segment,
     Trajectory,
+    hermite,
 )
 
 RHOMBUS_DIAGONAL_M = 6.28
@@ -42,8 +42,6 @@ _QUINTIC_PEAK = 1.875  # the same of the quintic one
 _SHORTEST_UNIT_S = 0.1  # a side or a lap lasts at least this long, so that whole microseconds do not matter
 _SPEED_MARGIN = 1e-4  # by which the speed must stay below the limit, for the same reason
 _FIT_TOLERANCE_M = 1e-7
-
-Complex = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)
@@ -344,160 +342,11 @@ def _uniform(start: Array, velocity: Array, duration_us: int) -> Iterator[Segmen
 # -------------------------------------------------------------------------------------------------------- curves
 
 
-class _Curve(Protocol):
-    """A curve by its arc length."""
-
-    @property
-    def length_m(self) -> float:
-        """Length of a lap."""
-
-    @property
-    def reach_m(self) -> float:
-        """Longest piece that is worth trying as one polynomial."""
-
-    def derivatives(self, distance: Array) -> Array:
-        """Point and three derivatives by arc length, shape (n, 4, 2), at distances of shape (n,) in m."""
-
-
-@dataclass(frozen=True)
-class Line:
-    """From the origin along x1."""
-
-    length_m: float
-
-    @property
-    def reach_m(self) -> float:
-        """Short enough for the resolution of float32."""
-        return self.length_m
-
-    def derivatives(self, distance: Array) -> Array:
-        """Point and three derivatives by arc length, shape (n, 4, 2), at distances of shape (n,) in m."""
-        result = np.zeros((len(distance), 4, 2))
-        result[:, 0, 0] = distance
-        result[:, 1, 0] = 1.0
-        return result
-
-
-@dataclass(frozen=True)
-class Circle:
-    """Centred at the origin, counter-clockwise from (radius, 0)."""
-
-    radius_m: float
-
-    @property
-    def length_m(self) -> float:
-        """Circumference."""
-        return 2.0 * math.pi * self.radius_m
-
-    @property
-    def reach_m(self) -> float:
-        """A quarter."""
-        return self.length_m / 4.0
-
-    def derivatives(self, distance: Array) -> Array:
-        """Point and three derivatives by arc length, shape (n, 4, 2), at distances of shape (n,) in m."""
-        point = self.radius_m * np.exp(1j * distance / self.radius_m)
-        return _as_real([point * (1j / self.radius_m) ** order for order in range(4)])
-
-    def distance(self, points: Array) -> Array:
-        """Distance of points to the circle, shape (n,) in m, of points of shape (n, 2) in m."""
-        return np.asarray(np.abs(np.hypot(points[:, 0], points[:, 1]) - self.radius_m))
-
-    def outline(self) -> Array:
-        """Vertices to draw the circle with, shape (m, 2) in m."""
-        return np.asarray(self.derivatives(np.linspace(0.0, self.length_m, 361))[:, 0])
-
-
-@dataclass(frozen=True)
-class Lemniscate:
-    """Bernoulli's, centred at the origin, from its right end upwards.
-
-    With a the half width and parameter t: point a cos t / (1 - i sin t) = r exp(iφ), r with sign, φ = atan(sin t);
-    arc length ∫ a / √(1 + sin² t) dt; tangent i exp(3iφ); curvature 3 r / a².
-    """
-
-    half_width_m: float
-
-    @property
-    def length_m(self) -> float:
-        """Length of both loops."""
-        return float(2.0 * math.pi * self.half_width_m * self._series[0])
-
-    @property
-    def reach_m(self) -> float:
-        """An eighth, half of it bends."""
-        return self.length_m / 8.0
-
-    @cached_property
-    def _series(self) -> Array:
-        """Fourier coefficients of 1 / √(1 + sin² t) = c0 + Σ ck cos 2kt; they shrink by 0.17 each."""
-        samples = 64
-        spectrum = np.fft.rfft(1.0 / np.sqrt(1.0 + np.sin(np.pi * np.arange(samples) / samples) ** 2)).real / samples
-        return np.concatenate([spectrum[:1], 2.0 * spectrum[1 : samples // 2]])
-
-    def _parameter(self, distance: Array) -> Array:
-        """Parameter at arc lengths, both of shape (n,), by Newton's method."""
-        order = 2.0 * np.arange(1, len(self._series))
-        target = distance / self.half_width_m
-        parameter = np.asarray(target / self._series[0])
-        for _ in range(6):  # the error is at most 0.1 at first and squares each time
-            waves = np.sin(np.multiply.outer(parameter, order)) @ (self._series[1:] / order)
-            parameter -= (self._series[0] * parameter + waves - target) * np.sqrt(1.0 + np.sin(parameter) ** 2)
-        return parameter
-
-    def _at(self, parameter: Array) -> tuple[Complex, Complex, Array]:
-        """Point, tangent and curvature, each of shape (n,), at parameters of shape (n,)."""
-        point = self.half_width_m * np.cos(parameter) / (1.0 - 1j * np.sin(parameter))
-        direction = (1.0 + 1j * np.sin(parameter)) / np.sqrt(1.0 + np.sin(parameter) ** 2)
-        curvature = 3.0 * (point / direction).real / self.half_width_m**2
-        return point, 1j * direction**3, curvature
-
-    def derivatives(self, distance: Array) -> Array:
-        """Point and three derivatives by arc length, shape (n, 4, 2), at distances of shape (n,) in m."""
-        parameter = self._parameter(distance)
-        point, tangent, curvature = self._at(parameter)
-        bending = -3.0 * np.sin(2.0 * np.arctan(np.sin(parameter))) / self.half_width_m**2  # dκ/ds
-        return _as_real([point, tangent, 1j * curvature * tangent, (1j * bending - curvature**2) * tangent])
-
-    def distance(self, points: Array) -> Array:
-        """Distance of points to the lemniscate, shape (n,) in m, of points of shape (n, 2) in m.
-
-        Exact for points nearer than the smallest radius, a third of the half width; else good to a millimetre.
-        """
-        batches = np.array_split(points[:, 0] + 1j * points[:, 1], 1 + len(points) // 2048)
-        return np.concatenate([np.minimum(self._distance(b, 0.0), self._distance(b, np.pi)) for b in batches])
-
-    def _distance(self, points: Complex, start: float) -> Array:
-        """Distance of points of shape (n,) to half of the curve, so that it does not meet itself, from a parameter on.
-
-        The nearest of a grid is improved by Newton's method.
-        """
-        grid = start + np.linspace(0.0, np.pi, 257)
-        gap = np.abs(points[:, None] - self._at(grid)[0])
-        parameter, nearest = grid[np.argmin(gap, axis=1)], np.min(gap, axis=1)
-        for _ in range(4):
-            point, tangent, curvature = self._at(parameter)
-            offset = (point - points) * tangent.conj()  # along and across the tangent
-            step = offset.real / np.maximum(1.0 + curvature * offset.imag, 0.1)
-            parameter = parameter - step * np.sqrt(1.0 + np.sin(parameter) ** 2) / self.half_width_m
-        return np.asarray(np.minimum(nearest, np.abs(points - self._at(parameter)[0])))
-
-    def outline(self) -> Array:
-        """Vertices to draw the lemniscate with, shape (m, 2) in m."""
-        return np.asarray(self.derivatives(np.linspace(0.0, self.length_m, 361))[:, 0])
-
-
-def _as_real(columns: list[Complex]) -> Array:
-    """Shape (n, k, 2) of k complex columns of shape (n,)."""
-    stacked = np.stack(columns, axis=1)
-    return np.stack([stacked.real, stacked.imag], axis=-1)
-
-
 @dataclass(frozen=True)
 class _SmoothCourse:
     """A curve driven from rest to rest, thrice continuously differentiable: septic pieces between exact nodes."""
 
-    curve: _Curve
+    curve: Curve
     speed_m_per_s: float
     lap_us: int
     ramp_us: int
@@ -532,7 +381,7 @@ class _SmoothCourse:
         pieces = max(1, by_reach, -(-span_us // MAX_DURATION_US))
         while pieces <= MAX_SEGMENTS:
             nodes_us = [begin_us + span_us * piece // pieces for piece in range(pieces + 1)]
-            segments = _hermite(nodes_us, self._exact(np.array(nodes_us, dtype=np.float64), duration_us))
+            segments = hermite(nodes_us, self._exact(np.array(nodes_us, dtype=np.float64), duration_us))
             if self._error_m(segments, begin_us, end_us, duration_us) < _FIT_TOLERANCE_M:
                 return segments
             pieces += 1 + pieces // 4
@@ -583,16 +432,3 @@ def _eased(time_s: Array, ramp_s: float) -> Array:
 def _jerk(s: Array) -> Array:
     """Second derivative of the quintic smoothstep."""
     return np.asarray(60.0 * s * (1.0 - s) * (1.0 - 2.0 * s))
-
-
-def _hermite(nodes_us: list[int], states: Array) -> list[Segment]:
-    """Polynomials of degree 7 through position and three time derivatives, shape (n, 4, 2), at n nodes in µs."""
-    durations_us = [end - begin for begin, end in pairwise(nodes_us)]
-    scale = (np.array(durations_us) * 1e-6)[:, None] ** np.arange(4)
-    left, right = states[:-1] * scale[:, :, None], states[1:] * scale[:, :, None]
-    low = left / np.array([1.0, 1.0, 2.0, 6.0])[:, None]
-    falling = np.array([[math.perm(power, order) for power in range(8)] for order in range(4)], dtype=np.float64)
-    high = np.linalg.solve(falling[:, 4:], right - falling[:, :4] @ low)
-    coefficients = np.zeros((len(low), AXES, COEFFICIENTS))
-    coefficients[:, :2] = np.concatenate([low, high], axis=1).transpose(0, 2, 1)
-    return [Segment(us, piece) for us, piece in zip(durations_us, coefficients, strict=True)]

@@ -1,5 +1,6 @@
 """The reference as piecewise polynomials, the form in which it is sent to the firmware."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -158,6 +159,27 @@ class Trajectory:
     def rounded(self) -> Self:
         """Return the trajectory as the firmware has it, coefficients rounded to float32."""
         return self.from_bytes(self.to_bytes(), self.path)
+
+
+def hermite(nodes_us: list[int], states: Array) -> list[Segment]:
+    """Return polynomials of degree 7 through position and three time derivatives at n nodes in µs.
+
+    Parameters
+    ----------
+    nodes_us
+        Whole microseconds, rising.
+    states
+        Shape (n, 4, 2) or (n, 4, 3): p1, p2, and the heading if it is not 0, and their derivatives by s.
+    """
+    durations_us = [end - begin for begin, end in pairwise(nodes_us)]
+    scale = (np.array(durations_us) * 1e-6)[:, None] ** np.arange(4)
+    left, right = states[:-1] * scale[:, :, None], states[1:] * scale[:, :, None]
+    low = left / np.array([1.0, 1.0, 2.0, 6.0])[:, None]
+    falling = np.array([[math.perm(power, order) for power in range(8)] for order in range(4)], dtype=np.float64)
+    high = np.linalg.solve(falling[:, 4:], right - falling[:, :4] @ low)
+    coefficients = np.zeros((len(low), AXES, COEFFICIENTS))
+    coefficients[:, : states.shape[2]] = np.concatenate([low, high], axis=1).transpose(0, 2, 1)
+    return [Segment(us, piece) for us, piece in zip(durations_us, coefficients, strict=True)]
 
 
 def _snapped(time_us: Array) -> Array:
