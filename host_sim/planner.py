@@ -1,20 +1,34 @@
-"""Trajectories along the known paths: ramps from and to rest, sharp or rounded corners.
+"""Trajectories along the known paths and through waypoints, at a steady speed or as fast as limits allow.
 
-Joints of a trajectory fall on whole microseconds. So that positions stay exact, the speed is changed by a hair (half a
-microsecond in the time of a side or lap) to make a side of the polygon, a lap of a curve, last whole microseconds, and
-ramps and corner blends are rounded up to an even number of them: the acceleration asked for is never exceeded.
+Steady drives have ramps from and to rest, and sharp or rounded corners. Joints of a trajectory fall on whole
+microseconds. So that positions stay exact, the speed is changed by a hair (half a microsecond in the time of a side or
+lap) to make a side of the polygon, a lap of a curve, last whole microseconds, and ramps and corner blends are rounded
+up to an even number of them: the acceleration asked for is never exceeded.
 """
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from typing import Protocol
 
 import numpy as np
 
+from host_sim import waypoints
+from host_sim.course import (
+    Course,
+    SplinePath,
+    curve_course,
+    resting_spline,
+    rounded_polygon,
+    spline_course,
+    stopping_polygon,
+)
 from host_sim.curves import Circle, Curve, Lemniscate, Line
 from host_sim.errors import OmnibotError
+from host_sim.fastest import FIT_TOLERANCE_M, FastDrive
+from host_sim.limits import NO_LIMITS, Limits, motion_of, robot_limits
+from host_sim.robot import Robot, load_robot
 from host_sim.trajectory import (
     AXES,
     COEFFICIENTS,
@@ -34,8 +48,27 @@ CIRCLE_RADIUS_M = 1.0
 LEMNISCATE_HALF_WIDTH_M = 1.5
 LINE_LENGTH_M = 4.0  # of a line without a duration
 
-PATHS = ("rhombus", "line", "circle", "lemniscate")
+SQUARE_SIDE_M = 2.0
+
+PATHS = ("rhombus", "line", "circle", "lemniscate")  # that can be driven steadily
+NAMED_PATHS = (*PATHS, "square")
 CORNERS = ("sharp", "rounded")
+PROFILES = ("steady", "fastest")
+
+SPEED_M_PER_S = 0.5  # if nothing else is said
+JERK_M_PER_S3 = 40.0  # of fastest drives, if nothing else is said: 2 m/s² within 50 ms
+WIRE_REACH_M = 20.97  # of positions
+
+_HALF_M, _CORNER_M = RHOMBUS_DIAGONAL_M / 2.0, SQUARE_SIDE_M / 2.0
+# Vertices and, back at the first one too, headings.
+_RHOMBUS: tuple[Array, Array] = (
+    np.array([[_HALF_M, 0.0], [0.0, _HALF_M], [-_HALF_M, 0.0], [0.0, -_HALF_M]]),
+    np.zeros(5),
+)
+_SQUARE: tuple[Array, Array] = (
+    np.array([[_CORNER_M, -_CORNER_M], [_CORNER_M, _CORNER_M], [-_CORNER_M, _CORNER_M], [-_CORNER_M, -_CORNER_M]]),
+    np.arange(0.0, 5.0) * (math.pi / 2.0),
+)
 
 _CUBIC_PEAK = 1.5  # slope of the cubic smoothstep at its middle
 _QUINTIC_PEAK = 1.875  # the same of the quintic one
@@ -53,18 +86,31 @@ class PathRequest:
     path
         ``rhombus``: diagonals of 6.28 m, centred at the origin, from (3.14, 0) counter-clockwise; ``line``: from the
         origin along x1; ``circle``: radius 1 m, centred at the origin, from (1, 0) counter-clockwise; ``lemniscate``:
-        Bernoulli's, half width 1.5 m, from (1.5, 0) upwards. The heading stays 0.
+        Bernoulli's, half width 1.5 m, from (1.5, 0) upwards. The heading stays 0. ``square``: sides of 2 m, centred at
+        the origin, from (1, -1) counter-clockwise; the heading turns by a quarter on each side. FILE.csv, FILE.toml:
+        through waypoints (``host_sim/waypoints.py``).
     speed_m_per_s
-        Speed along the path, constant between the ramps.
+        Speed along the path: constant between the ramps, or the limit that it stays below. Not used where the
+        waypoints have times.
     corner
-        ``sharp``: the velocity jumps; ``rounded``: it blends from one side's to the next's around the corner's time.
+        Of steady drives, ``sharp``: the velocity jumps; ``rounded``: it blends from one side's to the next's around the
+        corner's time. Of fastest ones, ``sharp``: stop; ``rounded``: cut.
     corner_accel_m_per_s2
-        Peak acceleration of ramps and corner blends. Along a curve the centripetal one comes on top.
+        Peak acceleration of ramps and corner blends. Along a curve the centripetal one comes on top. Of fastest drives
+        the limit of acceleration, if ``limits`` has none.
     duration_s
         Time to the end, at rest; None: one full lap, or 4 m of the line. An end that falls into a corner (from half a
-        ramp after its time until a ramp fits behind it) stops at the vertex and waits there for the end.
+        ramp before the vertex to where the ramp down fits behind the corner) stops short: at rest before the corner.
+        A fastest drive is slowed down to it.
     start_before_corner_s
         None: start from rest; else start in motion this long before the time of the first corner.
+    profile
+        ``steady``: at the speed asked for, and refused if a limit that was asked for is broken; ``fastest``: as fast as
+        the limits allow. None: steady for the paths that can be, else fastest.
+    limits
+        Over those of the file, and over the robot's wheels'.
+    corner_cut_m
+        How far a fastest drive stays away from a rounded corner's vertex.
     """
 
     path: str
@@ -73,22 +119,162 @@ class PathRequest:
     corner_accel_m_per_s2: float = 2.0
     duration_s: float | None = None
     start_before_corner_s: float | None = None
+    profile: str | None = None
+    limits: Limits = NO_LIMITS
+    corner_cut_m: float = 0.05
 
     def __post_init__(self) -> None:
-        _check_choice("path", self.path, PATHS)
+        _check_path(self.path)
         _check_choice("corner", self.corner, CORNERS)
         _check_range("speed_m_per_s", self.speed_m_per_s)
         _check_range("corner_accel_m_per_s2", self.corner_accel_m_per_s2)
+        _check_range("corner_cut_m", self.corner_cut_m)
         if self.duration_s is not None:
             _check_range("duration_s", self.duration_s)
         if self.start_before_corner_s is not None:
             _check_range("start_before_corner_s", self.start_before_corner_s)
-        if self.start_before_corner_s is not None and self.path != "rhombus":
-            raise OmnibotError(f"start_before_corner_s needs a path with corners (rhombus); {self.path} has none")
+        if self.profile is not None:
+            _check_choice("profile", self.profile, PROFILES)
+        if self.profile == "steady" and self.path not in PATHS:
+            raise OmnibotError(f"{self.path} can't be driven at a steady speed; leave the profile out, or say fastest")
+        if self.start_before_corner_s is not None and (self.path != "rhombus" or self.is_fastest):
+            why = "has none" if self.path != "rhombus" else "must be driven steadily for it"
+            raise OmnibotError(f"start_before_corner_s needs a path with corners (rhombus); {self.path} {why}")
+
+    @property
+    def is_fastest(self) -> bool:
+        """Tell whether limits make the speed."""
+        return self.profile == "fastest" or self.path not in PATHS
 
 
-def plan(request: PathRequest) -> Trajectory:
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """A trajectory, the limits that it keeps, and how well its polynomials fit.
+
+    Attributes
+    ----------
+    limits
+        What was looked after; a steady drive's are those that were asked for.
+    fit_error_m
+        At most so far are the polynomials from where path and speed would have the robot.
+    is_timed
+        The waypoints' times make the speed.
+    """
+
+    trajectory: Trajectory
+    limits: Limits
+    fit_error_m: float
+    is_timed: bool = False
+
+
+def plan(request: PathRequest, robot: Robot | None = None) -> Trajectory:
     """Make the trajectory asked for, or say what is in the way."""
+    return plan_with_limits(request, robot).trajectory
+
+
+def plan_with_limits(request: PathRequest, robot: Robot | None = None) -> Plan:
+    """Make the trajectory asked for, or say what is in the way; the robot is that of the robot file by default."""
+    if not request.is_fastest and not request.limits:
+        return Plan(_steady(request), request.limits, _FIT_TOLERANCE_M)
+    robot = robot or load_robot()
+    if not request.is_fastest:
+        made = Plan(_steady(request), request.limits, _FIT_TOLERANCE_M)
+        _check_limits(
+            made, robot, f"{request.path} at a steady {request.speed_m_per_s:g} m/s", "; fastest would keep it"
+        )
+        return made
+    if not waypoints.is_file(request.path):
+        return _fastest(request, _named_course(request), request.limits, robot)
+    file = waypoints.read_waypoints(request.path)
+    limits = request.limits.over(file.limits)
+    if file.time_s is None:
+        made = _fastest(request, spline_course(file.places, robot.wheel_distance_m), limits, robot)
+    else:
+        made = _timed(request, file.places, file.time_s, limits, robot)
+    _check_reach(made, request.path)
+    return made
+
+
+def _fastest(request: PathRequest, course: Course, limits: Limits, robot: Robot) -> Plan:
+    """Drive a course as fast as the limits allow, or in the time asked for."""
+    usual = Limits(accel_m_per_s2=request.corner_accel_m_per_s2, jerk_m_per_s3=JERK_M_PER_S3)
+    speed = Limits(speed_m_per_s=request.speed_m_per_s)
+    limits = speed.over(limits).over(usual).over(robot_limits(robot))
+    drive = FastDrive.along(course, robot, limits)
+    if request.duration_s is not None:
+        drive = _lasting(drive, request.duration_s, limits)
+    misfit_m = drive.misfit()
+    if misfit_m > FIT_TOLERANCE_M:
+        raise OmnibotError(
+            f"{MAX_SEGMENTS} segments, as many as the firmware stores, miss {request.path} by {1e3 * misfit_m:.3g} mm, "
+            f"more than {1e3 * FIT_TOLERANCE_M:g} mm; make it shorter or smoother"
+        )
+    return Plan(drive.trajectory(), limits, misfit_m)
+
+
+def _lasting(drive: FastDrive, duration_s: float, limits: Limits) -> FastDrive:
+    """Stretch a drive to a duration."""
+    if duration_s > MAX_TOTAL_US * 1e-6:
+        raise OmnibotError(
+            f"duration_s = {duration_s:g} is too long: the firmware stores at most {_seconds(MAX_TOTAL_US)} s"
+        )
+    needed_s = drive.duration_s
+    asked = replace(drive, stretch=drive.stretch * duration_s / needed_s)
+    if duration_s < needed_s * (1.0 - 1e-6):
+        broken = motion_of(asked.trajectory(), drive.robot).refusal(limits)
+        raise OmnibotError(
+            f"duration_s = {duration_s:g} is too short, {_rounded(needed_s, math.ceil)} s would do: {broken}"
+        )
+    return asked
+
+
+def _timed(request: PathRequest, places: Array, time_s: Array, limits: Limits, robot: Robot) -> Plan:
+    """Be at waypoints on time, by the spline of degree 5 over time, at rest without acceleration at both ends."""
+    if request.duration_s is not None:
+        raise OmnibotError(
+            f"duration_s = {request.duration_s:g}: the waypoints of {request.path} have times of their own"
+        )
+    if len(places) > MAX_SEGMENTS + 1:
+        most = f"at most {MAX_SEGMENTS + 1}, with times: the firmware stores {MAX_SEGMENTS} segments"
+        raise OmnibotError(f"{request.path} has {len(places)} waypoints; {most}")
+    nodes_us = [round(at_s * 1e6) for at_s in time_s]
+    spline = resting_spline(np.array(nodes_us) * 1e-6, places)
+    states = np.stack([spline(np.array(nodes_us) * 1e-6, order) for order in range(4)], axis=1)
+    trajectory = Trajectory(hermite(nodes_us, states), SplinePath(spline, nodes_us[-1] * 1e-6, len(places))).rounded()
+    made = Plan(trajectory, limits.over(robot_limits(robot)), _FIT_TOLERANCE_M, is_timed=True)
+    _check_limits(made, robot, request.path, "; give it more time there")
+    return made
+
+
+def _check_limits(made: Plan, robot: Robot, what: str, cure: str) -> None:
+    broken = motion_of(made.trajectory, robot).refusal(made.limits)
+    if broken:
+        raise OmnibotError(f"{what} is too much: {broken}{cure}")
+
+
+def _check_reach(made: Plan, path: str) -> None:
+    """Refuse what the wire can't say: the spline may lead further out than its waypoints."""
+    outline = np.abs(made.trajectory.path.outline())
+    if np.max(outline) > WIRE_REACH_M:
+        raise OmnibotError(
+            f"{path} leads to {np.max(outline):.4g} m from the origin's axes; at most {WIRE_REACH_M:g} m"
+        )
+
+
+def _named_course(request: PathRequest) -> Course:
+    if request.path in ("rhombus", "square"):
+        vertices, headings = _RHOMBUS if request.path == "rhombus" else _SQUARE
+        if request.corner == "sharp":
+            return stopping_polygon(vertices, headings)
+        return rounded_polygon(vertices, headings, request.corner_cut_m)
+    if request.path == "line":
+        return curve_course(Line(LINE_LENGTH_M), Polyline(np.array([[0.0, 0.0], [LINE_LENGTH_M, 0.0]]), closed=False))
+    curve = Circle(CIRCLE_RADIUS_M) if request.path == "circle" else Lemniscate(LEMNISCATE_HALF_WIDTH_M)
+    return curve_course(curve, curve)
+
+
+def _steady(request: PathRequest) -> Trajectory:
+    """Drive at the speed asked for."""
     course = _polygon_course(request) if request.path == "rhombus" else _smooth_course(request)
     duration_us = course.default_us if request.duration_s is None else round(request.duration_s * 1e6)
     if duration_us < course.shortest_us:
@@ -100,6 +286,12 @@ def plan(request: PathRequest) -> Trajectory:
         stores = f"the firmware stores {MAX_SEGMENTS} segments and at most {_seconds(MAX_TOTAL_US)} s"
         raise OmnibotError(f"duration_s = {_seconds(duration_us)} is too long: {stores}, enough for {longest} s")
     return Trajectory(segments, course.path(duration_us))
+
+
+def default_speed(path: str) -> float:
+    """Return the speed of a drive, m/s, if nobody says another: that of the file, if it has one."""
+    of_file = waypoints.read_waypoints(path).limits.speed_m_per_s if waypoints.is_file(path) else None
+    return SPEED_M_PER_S if of_file is None else of_file
 
 
 class _Course(Protocol):
@@ -148,6 +340,11 @@ def _longest_us(course: _Course, too_long_us: int) -> int:
 
 
 # ------------------------------------------------------------------------------------------------- checks and units
+
+
+def _check_path(path: str) -> None:
+    if path not in NAMED_PATHS and not waypoints.is_file(path):
+        raise OmnibotError(f"unknown path {path!r}; there are: {', '.join(NAMED_PATHS)}, FILE.csv, FILE.toml")
 
 
 def _check_choice(name: str, value: str, choices: tuple[str, ...]) -> None:

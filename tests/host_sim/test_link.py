@@ -17,7 +17,7 @@ from host_sim.errors import OmnibotError
 from host_sim.inproc import LIBRARY_FILE, InprocBus
 from host_sim.link import Answer, BusStatistics, Link, RefusedError, SilentError
 from host_sim.planner import CORNERS, PATHS, PathRequest, plan
-from host_sim.robot import load_robot
+from host_sim.robot import ROOT, load_robot
 from host_sim.trajectory import MAX_DURATION_US, MAX_TOTAL_US, SEGMENT_BYTES, Polyline, Segment, Trajectory
 
 NODE = 3
@@ -255,8 +255,16 @@ def test_paths_of_the_planner_are_taken(link: Link, path: str, corner: str) -> N
     for speed in (0.01, 0.5, 2.0):
         link.upload(plan(PathRequest(path, speed, corner)).to_bytes())
     link.upload(plan(PathRequest(path, 0.5, corner, duration_s=60.0)).to_bytes())
+    link.upload(plan(PathRequest(path, 1.0, corner, profile="fastest")).to_bytes())
     if path == "rhombus":
         link.upload(plan(PathRequest(path, 1.0, corner, duration_s=9.0, start_before_corner_s=1.0)).to_bytes())
+
+
+def test_paths_made_by_limits_are_taken(link: Link) -> None:
+    for corner in CORNERS:
+        link.upload(plan(PathRequest("square", 1.0, corner)).to_bytes())
+    for file in ("slalom.csv", "slalom.toml"):
+        link.upload(plan(PathRequest(str(ROOT / "host_sim" / "examples" / file), 0.5)).to_bytes())
 
 
 def test_upload_with_a_frame_lost_is_refused_at_its_byte(

@@ -323,7 +323,21 @@ def test_curve_outline_lies_on_the_path(path):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"path": "square"}, "unknown path 'square'; there are: rhombus, line, circle, lemniscate"),
+        (
+            {"path": "spiral"},
+            "unknown path 'spiral'; there are: rhombus, line, circle, lemniscate, square, FILE.csv, FILE.toml",
+        ),
+        ({"profile": "slow"}, "unknown profile 'slow'; there are: steady, fastest"),
+        ({"path": "square", "profile": "steady"}, "square can't be driven at a steady speed; leave the profile out"),
+        (
+            {"profile": "fastest", "start_before_corner_s": 1.0},
+            "start_before_corner_s needs a path with corners (rhombus); rhombus must be driven steadily for it",
+        ),
+        ({"corner_cut_m": 0.0}, "corner_cut_m = 0 must be a number above 0"),
+        (
+            {"profile": "fastest", "corner_cut_m": 1.0},
+            "corner_cut_m = 1 leaves nothing of a side of 4.441 m: at most 0.4906",
+        ),
         ({"corner": "round"}, "unknown corner 'round'; there are: sharp, rounded"),
         ({"speed_m_per_s": -0.5}, "speed_m_per_s = -0.5 must be a number above 0, from 1e-06 to 1e+06"),
         ({"speed_m_per_s": 0.0}, "speed_m_per_s = 0 must be"),
