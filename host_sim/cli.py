@@ -23,12 +23,15 @@ from host_sim.codec import DBC_FILE, Codec, load_messages
 from host_sim.errors import OmnibotError
 from host_sim.flash import IMAGE_FILE, flash
 from host_sim.inject import FAULT_ROWS, fault_cases, is_explained, restart_cases, run_cases
+from host_sim.limits import LIMIT_NAMES, Limits
 from host_sim.link import Link, open_bus
 from host_sim.paper import choose, write_paper
 from host_sim.pil import EmulatedBoard
-from host_sim.planner import PathRequest, plan
+from host_sim.planner import PathRequest, default_speed, plan
+from host_sim.preview import Preview
 from host_sim.report import PAGE_NAME
 from host_sim.report.compare import load_runs, write_comparison
+from host_sim.report.plan import write_plan
 from host_sim.robot import ROOT, load_robot
 from host_sim.run import LOG_FILE, BusLog, execute, run_folder
 from host_sim.scenario import Scenario
@@ -93,12 +96,43 @@ def _figure(value: float | None, factor: float = 1.0) -> str:
     return "-" if value is None else f"{factor * value:.3g}"
 
 
+def parse_limits(settings: list[str]) -> Limits:
+    """Read NAME=NUMBER pairs."""
+    numbers = parse_numbers("--limit", settings)
+    for name in numbers:
+        if name not in LIMIT_NAMES:
+            raise OmnibotError(f"--limit {name}: there is no such limit; there are: {', '.join(LIMIT_NAMES)}")
+    return Limits(**numbers)
+
+
+PathOption = Annotated[
+    str, typer.Option(help="rhombus, line, circle, lemniscate, square, or waypoints: FILE.csv, FILE.toml")
+]
+SpeedOption = Annotated[
+    float | None, typer.Option(help="speed along the path, or its limit, m/s (default: 0.5, or the file's)")
+]
+CornerOption = Annotated[str, typer.Option(help="sharp or rounded")]
+CornerAccelOption = Annotated[float, typer.Option(help="peak acceleration of corners and ramps, m/s^2")]
+DurationOption = Annotated[float | None, typer.Option(help="time to the end, s (default: one lap)")]
+StartBeforeCornerOption = Annotated[
+    float | None, typer.Option(help="start in motion so many seconds before the first corner")
+]
+ProfileOption = Annotated[
+    str | None,
+    typer.Option(help="steady speed, or fastest within the limits (default: steady, but for square and waypoints)"),
+]
+LimitOption = Annotated[
+    list[str] | None, typer.Option(help=f"NAME=NUMBER of {', '.join(LIMIT_NAMES)}; may be repeated")
+]
+CornerCutOption = Annotated[float, typer.Option(help="how far a fastest drive stays off a rounded corner's vertex, m")]
+
+
 @app.command()
 def run(
-    path: Annotated[str, typer.Option(help="rhombus, line, circle or lemniscate")] = "rhombus",
-    speed: Annotated[float, typer.Option(help="speed along the path, m/s")] = 0.5,
-    corner: Annotated[str, typer.Option(help="sharp or rounded")] = "rounded",
-    corner_accel: Annotated[float, typer.Option(help="peak acceleration of corners and ramps, m/s^2")] = 2.0,
+    path: PathOption = "rhombus",
+    speed: SpeedOption = None,
+    corner: CornerOption = "rounded",
+    corner_accel: CornerAccelOption = 2.0,
     epsilon: Annotated[float, typer.Option(help="inverse stiffness of the floor, 1/N, above 0 and at most 1")] = 0.01,
     order: Annotated[
         str, typer.Option(help="how the firmware predicts slip: order 0, 1, 2 or 3 of the manifold, exact, or observer")
@@ -107,10 +141,11 @@ def run(
         str, typer.Option(help="what follows the path: posture (point and heading) or point")
     ] = "posture",
     traction: Annotated[str, typer.Option(help="linear or magic")] = "magic",
-    duration: Annotated[float | None, typer.Option(help="time to the end, s (default: one lap)")] = None,
-    start_before_corner: Annotated[
-        float | None, typer.Option(help="start in motion so many seconds before the first corner")
-    ] = None,
+    duration: DurationOption = None,
+    start_before_corner: StartBeforeCornerOption = None,
+    profile: ProfileOption = None,
+    limit: LimitOption = None,
+    corner_cut: CornerCutOption = 0.05,
     bus: Annotated[
         str, typer.Option(help="inproc, pil (the board's image, emulated), or a SocketCAN interface")
     ] = "inproc",
@@ -151,7 +186,17 @@ def run(
     if time == "realtime" and interface is None and bus in WITHOUT_CLOCK:
         raise OmnibotError(f"{WITHOUT_CLOCK[bus]}: give --time realtime a bus, such as vcan0")
     robot = load_robot()
-    request = PathRequest(path, speed, corner, corner_accel, duration, start_before_corner)
+    request = PathRequest(
+        path,
+        default_speed(path) if speed is None else speed,
+        corner,
+        corner_accel,
+        duration,
+        start_before_corner,
+        profile,
+        parse_limits(limit or []),
+        corner_cut,
+    )
     scenario = Scenario(
         path=request,
         epsilon=epsilon,
@@ -169,7 +214,7 @@ def run(
     scenario.firmware_parameters(robot)
     trajectory = plan(request)
     codec = Codec(dbc, node)
-    folder = out or _new_folder(path)
+    folder = out or _new_folder(Path(path).stem)
     bus_name = bus if interface is None else f"{interface}:{channel}"
     with open_bus(bus, node, interface, channel, bitrate) as opened, run_folder(folder):
         log = BusLog(folder / LOG_FILE, channel="vcan0")
@@ -185,9 +230,9 @@ def run(
         raise RunFailedError(result["reason"])
 
 
-def _new_folder(path: str) -> Path:
+def _new_folder(name: str) -> Path:
     """Return a folder below runs/ that no other run has."""
-    stem = f"{datetime.now().astimezone():%Y-%m-%d-%H%M%S}-{path}"
+    stem = f"{datetime.now().astimezone():%Y-%m-%d-%H%M%S}-{name}"
     candidates = (ROOT / "runs" / (stem if number == 0 else f"{stem}-{number}") for number in itertools.count())
     return next(folder for folder in candidates if not folder.exists())
 
@@ -195,6 +240,37 @@ def _new_folder(path: str) -> Path:
 def _command_line() -> str:
     """Return the command that was typed."""
     return shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
+
+
+@app.command("plan")
+def preview(
+    path: PathOption = "rhombus",
+    speed: SpeedOption = None,
+    corner: CornerOption = "rounded",
+    corner_accel: CornerAccelOption = 2.0,
+    duration: DurationOption = None,
+    start_before_corner: StartBeforeCornerOption = None,
+    profile: ProfileOption = None,
+    limit: LimitOption = None,
+    corner_cut: CornerCutOption = 0.05,
+    out: Annotated[Path | None, typer.Option(help="folder of the results (default: a new one below runs/)")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="print plan.json instead of the table")] = False,
+) -> None:
+    """Plan a path without driving it: length, duration, and what it asks of the robot beside the limits."""
+    request = PathRequest(
+        path,
+        default_speed(path) if speed is None else speed,
+        corner,
+        corner_accel,
+        duration,
+        start_before_corner,
+        profile,
+        parse_limits(limit or []),
+        corner_cut,
+    )
+    made = Preview(request, load_robot())
+    written = write_plan(out or _new_folder(f"plan-{Path(path).stem}"), made, _command_line())
+    print(json.dumps(made.numbers(), indent=2) if as_json else f"{made.text()}\n\nreport: {written}")  # noqa: T201
 
 
 @app.command("compare")

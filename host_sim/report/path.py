@@ -65,8 +65,8 @@ def _whole(trace: Trace, polyline: Array, robot: Robot) -> Panel:
     reference, point, time_s = shown(seen, trace.reference_point, trace.point, trace.time_s)
     traces = [
         *_paths(polyline, reference, point, time_s),
-        *_robots(robot, trace.pose[instants], "robot at instants"),
-        _instants(robot, trace.pose[instants], trace.time_s[instants]),
+        *robots_at(robot, trace.pose[instants], "robot at instants"),
+        written_times(robot, trace.pose[instants], trace.time_s[instants]),
         *_film_parts(robot, seen),
     ]
     hidden = len(trace) - int(np.count_nonzero(seen))
@@ -88,7 +88,7 @@ def _enlarged(trace: Trace, polyline: Array, corner: Array, half_m: float, robot
     path, reference, point = ((xy - corner) * scale for xy in (polyline, reference, point))
     x, y = (Axis(f"x{axis + 1} ({unit})", view) for axis, view in enumerate(_view(reference, half_m * scale)))
     traces = [
-        *_robots(robot, trace.pose[posed], "robot at instants", corner, scale),
+        *robots_at(robot, trace.pose[posed], "robot at instants", corner, scale),
         *_paths(path, reference, point, time_s, unit),
     ]
     return Panel(enlarged_title(corner, unit), traces, x, y, equal=True, height_px=HEIGHT_px)
@@ -111,13 +111,13 @@ def _view(reference: Array, half: float) -> list[Range]:
 def shown(kept: NDArray[np.bool_], *columns: Array) -> list[Array]:
     """Return the kept rows of columns, shape (n, ...): as many as can be seen, gaps where rows are left out."""
     known = np.flatnonzero(kept)
-    rows = known[_evenly(len(known), POINTS)]
+    rows = known[evenly(len(known), POINTS)]
     left_out = np.cumsum(~kept)[rows]
     gaps = np.flatnonzero(np.diff(left_out)) + 1
     return [np.insert(column[rows], gaps, np.nan, axis=0) for column in columns]
 
 
-def _evenly(count: int, most: int) -> NDArray[np.intp]:
+def evenly(count: int, most: int) -> NDArray[np.intp]:
     """Choose rows, first and last among them, evenly."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).astype(np.intp)) if count else np.arange(0)
 
@@ -150,7 +150,7 @@ def outline(robot: Robot) -> dict[str, Array]:
     return {"body": body, "wheels": np.array(wheels), "arm": arm}
 
 
-def _robots(
+def robots_at(
     robot: Robot, poses: Array, name: str, origin: Array | Sequence[float] = (0.0, 0.0), scale: float = 1.0, **more: Any
 ) -> list[Drawn]:
     """Draw the robot at poses, shape (k, 3); seen from an origin, shape (2,) in m, in units of 1/scale m."""
@@ -168,7 +168,7 @@ def _outline(shape: Array, name: str, width_px: float, **more: Any) -> Drawn:
     return line(shape[:, 0], shape[:, 1], name, ROBOT._replace(width_px=width_px), **more)
 
 
-def _instants(robot: Robot, poses: Array, time_s: Array) -> Drawn:
+def written_times(robot: Robot, poses: Array, time_s: Array) -> Drawn:
     """Write the time below the robot at poses of shape (k, 3)."""
     texts = [f"{instant:.3g} s" for instant in time_s]
     written = line(poses[:, 0], poses[:, 1] - robot.wheel_distance_m, "robot at instants", ROBOT, hoverinfo="skip")
@@ -186,7 +186,7 @@ def _placed(shape: Array, poses: Array) -> Array:
 
 def _film_parts(robot: Robot, seen: NDArray[np.bool_]) -> list[Drawn]:
     """Draw the robot in {L}: the page's script moves it; nothing if no pose is known."""
-    parts = _robots(robot, np.zeros((1, 3)), "robot, moved by the slider", meta="film") if seen.any() else []
+    parts = robots_at(robot, np.zeros((1, 3)), "robot, moved by the slider", meta="film") if seen.any() else []
     for part in parts:
         part["line"] = {**part["line"], "color": "--vermilion"}
     return parts
@@ -197,7 +197,7 @@ def _film(trace: Trace, seen: NDArray[np.bool_]) -> dict[str, Any]:
     if not seen.any():
         return {}
     rows = np.flatnonzero(seen)
-    rows = rows[_evenly(len(rows), FRAMES)]
+    rows = rows[evenly(len(rows), FRAMES)]
     columns = {"time": trace.time_s[rows], "x": trace.pose[rows, 0], "y": trace.pose[rows, 1]}
     columns["heading"] = wrap_angle(trace.pose[rows, 2])
     return {"film": {name: numbers(values) for name, values in columns.items()}}
