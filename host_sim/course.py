@@ -78,7 +78,7 @@ def rounded_polygon(vertices: Array, headings: Array, cut_m: float) -> Course:
     length = np.linalg.norm(sides, axis=1)
     along = sides / length[:, None]
     reach = [cut_m / (2.0 * _CORNER_SHIFT * float(np.linalg.norm(b - a))) for a, b in pairwise(along)]
-    longest = min(min(length[:-1] - reach), min(length[1:] - reach), *(length[1:-1] - reach[:-1] - reach[1:]))
+    longest = min(*(length[:-1] - reach), *(length[1:] - reach), *(length[1:-1] - reach[:-1] - reach[1:]))
     if longest < 0.0:
         most = cut_m * float(np.min(length)) / (2.0 * max(reach))
         raise OmnibotError(

@@ -9,6 +9,7 @@ from host_sim.planner import PathRequest, Plan, plan_with_limits
 from host_sim.robot import Robot
 from host_sim.trajectory import MAX_SEGMENTS
 
+
 class Preview:
     """A plan, and what it asks of the robot."""
 

@@ -10,7 +10,7 @@ from host_sim.limits import QUANTITIES
 from host_sim.preview import Preview
 from host_sim.report import page
 from host_sim.report.figure import LIMIT, STYLES, Axis, Drawn, Figure, Panel, curve, level, line, numbers
-from host_sim.report.path import HEIGHT_px, PATH, evenly, robots_at, written_times
+from host_sim.report.path import PATH, HEIGHT_px, evenly, robots_at, written_times
 from host_sim.report.run import length_text, percent_text
 from host_sim.robot import Array
 from host_sim.trace import write_atomically
@@ -70,7 +70,13 @@ def _path_panel(preview: Preview) -> Panel:
 def _dots(points: Array, speed_m_per_s: Array, time_s: Array) -> Drawn:
     """Draw points, shape (n, 2) in m, each in the colour of its speed."""
     scale = {"color": numbers(speed_m_per_s), "colorscale": "Viridis", "showscale": True, "size": 4}
-    bar = {"title": {"text": "speed (m/s)", "side": "right"}, "thickness": 10, "outlinewidth": 0}
+    bar = {
+        "title": {"text": "speed (m/s)", "side": "top"},
+        "orientation": "h",
+        "y": 1.0,
+        "yanchor": "bottom",
+        "thickness": 8,
+    }
     told = "at %{customdata:.3f} s: %{x:.4g}, %{y:.4g} m, %{marker.color:.4g} m/s<extra></extra>"
     return line(
         points[:, 0], points[:, 1], "tracked point p", STYLES[0],
@@ -79,7 +85,7 @@ def _dots(points: Array, speed_m_per_s: Array, time_s: Array) -> Drawn:
 
 
 def _centre_poses(preview: Preview, time_s: Array) -> Array:
-    """Return the robot's poses, shape (k, 3), at times (k,): the point is ahead of the centre, along the second axis."""
+    """Return the robot's poses, shape (k, 3), at times (k,): the point is ahead of it, along its second axis."""
     place = preview.plan.trajectory.evaluate(time_s, derivatives=0)[:, 0]
     ahead = np.column_stack([-np.sin(place[:, 2]), np.cos(place[:, 2])])
     return np.column_stack([place[:, :2] - preview.robot.tracked_point_offset_m * ahead, place[:, 2]])
