@@ -1,0 +1,8 @@
+"""The command line: ``omnibot VERB``. Each module holds a family of verbs, told by ``--help`` in this order."""
+
+# isort: off
+from host_sim.cli.app import app, main
+from host_sim.cli import drive, study, board
+# isort: on
+
+__all__ = ["app", "board", "drive", "main", "study"]
