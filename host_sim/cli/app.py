@@ -12,7 +12,8 @@ from rich.console import Console
 from rich.text import Text
 
 from host_sim.errors import OmnibotError
-from host_sim.robot import ROOT
+
+RUNS = Path("runs")  # where results go that were given no folder: below the one that the user is in
 
 app = typer.Typer(no_args_is_help=True, add_completion=True, pretty_exceptions_enable=False)
 
@@ -48,7 +49,7 @@ def parse_numbers(option: str, settings: list[str]) -> dict[str, float]:
 def new_folder(name: str) -> Path:
     """Return a folder below runs/ that no other run has."""
     stem = f"{datetime.now().astimezone():%Y-%m-%d-%H%M%S}-{name}"
-    candidates = (ROOT / "runs" / (stem if number == 0 else f"{stem}-{number}") for number in itertools.count())
+    candidates = (RUNS / (stem if number == 0 else f"{stem}-{number}") for number in itertools.count())
     return next(folder for folder in candidates if not folder.exists())
 
 

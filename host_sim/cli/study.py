@@ -4,7 +4,6 @@ import json
 import math
 import subprocess
 import sys
-from datetime import datetime
 from pathlib import Path
 from typing import Annotated
 
@@ -16,7 +15,7 @@ from host_sim.bench import bench
 from host_sim.bench import choose as choose_parts
 from host_sim.bench import table as bench_table
 from host_sim.busload import bus_load, load_table
-from host_sim.cli.app import RunFailedError, app, command_line
+from host_sim.cli.app import RUNS, RunFailedError, app, command_line, new_folder
 from host_sim.codec import DBC_FILE, load_messages
 from host_sim.errors import OmnibotError
 from host_sim.inject import FAULT_ROWS, fault_cases, is_explained, restart_cases, run_cases
@@ -40,7 +39,7 @@ def paper(
 ) -> None:
     """Draw every figure and table of the paper beside ours, and write them as report.html and paper.json."""
     names, robot = choose(only), load_robot()
-    folder = out or ROOT / "runs" / f"{datetime.now().astimezone():%Y-%m-%d-%H%M%S}-paper"
+    folder = out or new_folder("paper")
     numbers = write_paper(names, robot, folder, command_line(), lambda line: typer.echo(line, err=True))
     print(json.dumps(numbers, indent=2) if as_json else f"page: {folder / PAGE_NAME}")  # noqa: T201
 
@@ -55,7 +54,7 @@ def sweep(
     """Run a table of scenarios in-process: stability 1,920 runs, robustness 66, odometry 12."""
     if name not in SWEEPS:
         raise OmnibotError(f"no sweep {name!r}; there are: {', '.join(SWEEPS)}")
-    folder = out or ROOT / "runs" / f"sweep-{name}"
+    folder = out or RUNS / f"sweep-{name}"
     total = sum(1 for _ in SWEEPS[name]())
     rows = list(track(run_sweep(name, jobs), total=total, console=Console(stderr=True), description=name))
     write_atomically(folder / "sweep.json", (json.dumps(rows, indent=2) + "\n").encode())
@@ -76,7 +75,7 @@ def inject(
     as_json: Annotated[bool, typer.Option("--json", help="print the rows as JSON instead of the table")] = False,
 ) -> None:
     """Drive in-process over a bus that loses, delays, repeats, swaps, damages and floods; table what the robot does."""
-    folder = out or ROOT / "runs" / "inject"
+    folder = out or RUNS / "inject"
     cases, total = (restart_cases(restarts, seed), restarts) if restarts else (fault_cases(seed), len(FAULT_ROWS))
     rows = list(track(run_cases(cases, jobs), total=total, console=Console(stderr=True), description="inject"))
     write_atomically(folder / "inject.json", (json.dumps(rows, indent=2) + "\n").encode())

@@ -93,6 +93,12 @@ def test_run_works_from_anywhere(tmp_path: Path) -> None:
     assert (tmp_path / "here" / "report.html").exists()
 
 
+def test_results_without_a_folder_go_below_the_one_that_the_user_is_in(tmp_path: Path) -> None:
+    for _ in range(2):
+        assert json.loads(omnibot("run", *SHORT, "--json", cwd=tmp_path).stdout)["status"] == "completed"
+    assert len(list(tmp_path.glob("runs/*-rhombus*/report.html"))) == 2
+
+
 def test_unknown_sweep_and_bus_name_what_there_is() -> None:
     assert_one_line(omnibot("sweep", "floors"), "robustness")
     assert_one_line(omnibot("run", "--bus", "lo"), "tools/with-vcan")

@@ -129,7 +129,7 @@ def tell(result: dict[str, Any], options: argparse.Namespace) -> None:
     """Print and write the result, and hold it to the budgets."""
     folder = options.out
     if folder is None and not (options.check or options.update):
-        folder = ROOT / "runs" / f"{datetime.now().astimezone():%Y-%m-%d-%H%M%S}-cost"
+        folder = Path("runs") / f"{datetime.now().astimezone():%Y-%m-%d-%H%M%S}-cost"
     if folder is not None:
         limits, command = budgets.cycle_limits(options.budgets), shlex.join(["omnibot", "cost", *sys.argv[1:]])
         print(f"report: {page.write(folder, result, limits, command)}", file=sys.stderr)
