@@ -8,7 +8,7 @@ is the most negative raw value of a signed physical signal, and a signal called 
 import math
 import struct
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple, cast
 
@@ -96,6 +96,7 @@ class Field(NamedTuple):
     unit_per_step: float
     steps_per_unit: float
     is_float: bool
+    unit: str
 
 
 def _field(signal: Signal) -> Field:
@@ -111,6 +112,7 @@ def _field(signal: Signal) -> Field:
         unit_per_step=scale,
         steps_per_unit=1.0 / scale,
         is_float=signal.is_float,
+        unit=signal.unit or "",
     )
 
 
@@ -121,6 +123,8 @@ class MessageCodec:
         self.name = message.name
         self.arbitration_id = message.frame_id | node
         self.length = message.length
+        self.from_robot = "ROBOT" in message.senders
+        self.purpose = message.comment or ""
         self.fields = tuple(_field(signal) for signal in message.signals if signal.name != "crc")
         self.choices = {s.name: {str(v): int(k) for k, v in s.choices.items()} for s in message.signals if s.choices}
         self._labels = {name: {k: v for v, k in choices.items()} for name, choices in self.choices.items()}
@@ -149,12 +153,20 @@ class MessageCodec:
             raise WireError(f"{self.name} has {len(data)} bytes; it must have {self.length}")
         if self._has_crc and crc8(data[:-1], self._id_crc) ^ 0xFF != data[-1]:
             raise WireError(f"{self.name} {data.hex()} is damaged: its CRC is wrong")
+        return self.decode(data)
+
+    def decode(self, data: bytes) -> tuple[float, ...]:
+        """Return the values of a payload, whole or not."""
         word = int.from_bytes(data, "little")
         return tuple([from_raw(word >> start & mask) for start, mask, from_raw in self._from_raw])
 
     def named(self, data: bytes) -> dict[str, float]:
         """Return the values of a payload by name."""
         return dict(zip((field.name for field in self.fields), self.unpack(data), strict=True))
+
+    def labels(self, signal: str) -> dict[int, str]:
+        """Return the names that the definition gives to values of a signal."""
+        return self._labels.get(signal, {})
 
     def label(self, signal: str, value: float) -> str:
         """Return the name that the definition gives to a value of a signal."""
@@ -241,6 +253,9 @@ class Codec:
 
     def __getitem__(self, name: str) -> MessageCodec:
         return self._by_name[name]
+
+    def __iter__(self) -> Iterator[MessageCodec]:
+        return iter(self._by_name.values())
 
     def of_id(self, arbitration_id: int) -> MessageCodec | None:
         """Return the message of an identifier, if it is one of ours."""
