@@ -141,9 +141,10 @@ class Link:
     def send(self, name: str, *values: float) -> None:
         """Send a message of the wire, its fields in their order."""
         message = self.codec[name]
-        self._send(message.arbitration_id, message.pack(*values))
+        self.send_frame(message.arbitration_id, message.pack(*values))
 
-    def _send(self, arbitration_id: int, data: bytes) -> None:
+    def send_frame(self, arbitration_id: int, data: bytes) -> None:
+        """Send a frame as it is; where the bus has no room, wait for it."""
         message = can.Message(arbitration_id=arbitration_id, is_extended_id=False, data=data)
         patience = Patience(self.timeout_s)
         while True:
@@ -157,7 +158,8 @@ class Link:
             time.sleep(ROOM_S)
         self._note(arbitration_id, data)
 
-    def _receive(self, wait_s: float) -> tuple[int, bytes] | None:
+    def receive_frame(self, wait_s: float) -> tuple[int, bytes] | None:
+        """Return identifier and payload of the next frame that comes in time; None when none does."""
         try:
             message = self.bus.recv(wait_s)
         except can.CanError as error:
@@ -195,7 +197,7 @@ class Link:
         wanted = self.codec[name]
         deadline = time.monotonic() + (self.timeout_s if timeout_s is None else timeout_s)
         while (left := deadline - time.monotonic()) > 0.0:
-            received = self._receive(min(left, self.repeat_s))
+            received = self.receive_frame(min(left, self.repeat_s))
             if received is None:
                 continue
             self._note_status(*received)
@@ -259,7 +261,7 @@ class Link:
     def _drain(self) -> None:
         """Read what came before we ask, so that it is not taken for the answer."""
         deadline = time.monotonic() + self.timeout_s
-        while (received := self._receive(0.0)) is not None:
+        while (received := self.receive_frame(0.0)) is not None:
             self._note_status(*received)
             if time.monotonic() > deadline:
                 raise OmnibotError(
@@ -368,7 +370,7 @@ class Link:
         sync = self._sync.pack(tick, *self._seals)
         patience = Patience(self.timeout_s - self.repeat_s)
         while True:
-            self._send(self._sync.arbitration_id, sync)
+            self.send_frame(self._sync.arbitration_id, sync)
             answer = self._answer(counter)
             if answer is not None:
                 return answer
@@ -383,14 +385,14 @@ class Link:
         if pose is not None:
             data = self._pose.pack(*pose, counter)
             pose_seal = self._pose.seal(data)
-            self._send(self._pose.arbitration_id, data)
+            self.send_frame(self._pose.arbitration_id, data)
         data = self._wheels.pack(*self._carried(wheel_speed), counter)
         self._seals = pose_seal, self._wheels.seal(data)
-        self._send(self._wheels.arbitration_id, data)
+        self.send_frame(self._wheels.arbitration_id, data)
 
     def send_sync(self, tick: int) -> None:
         """Send a tick, with its sensor frames sent before, without waiting for its answer."""
-        self._send(self._sync.arbitration_id, self._sync.pack(tick, *self._seals))
+        self.send_frame(self._sync.arbitration_id, self._sync.pack(tick, *self._seals))
 
     def forget_rounding(self) -> None:
         """Start carrying over the rounding of wheel speeds from nothing."""
@@ -398,7 +400,7 @@ class Link:
 
     def hear(self, wait_s: float) -> tuple[str, dict[str, float]] | None:
         """Return name and values of the next message that comes in time; None when none does. STATUS is kept, too."""
-        received = self._receive(wait_s)
+        received = self.receive_frame(wait_s)
         if received is None:
             return None
         self._note_status(*received)
@@ -426,7 +428,7 @@ class Link:
         while torque is None or slip is None:
             # The first two are the answer, as a rule. Others on the bus must not put off the next asking.
             left_s = self.repeat_s if frames < ANSWER_FRAMES else patience.left_s()
-            received = self._receive(left_s) if left_s > 0.0 else None
+            received = self.receive_frame(left_s) if left_s > 0.0 else None
             if received is None:
                 return None
             frames += 1
