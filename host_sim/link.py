@@ -124,6 +124,7 @@ class Link:
         self.time_s = 0.0
         self.statistics = BusStatistics()
         self.status: dict[str, float] = {}
+        self.cleared_faults: list[str] = []  # that ``hello`` found latched
         # Other robots' frames are none of ours: they would fill the log and the queue.
         bus.set_filters([{"can_id": codec.node, "can_mask": NODES - 1, "extended": False}])
         self._record = record
@@ -192,8 +193,8 @@ class Link:
             + getattr(self.bus, "cure", sil)
         )
 
-    def _wait_for(self, name: str, timeout_s: float | None = None) -> dict[str, float]:
-        """Return the next message of a name."""
+    def wait_for(self, name: str, timeout_s: float | None = None) -> dict[str, float]:
+        """Return the next message of a name; SilentError when none comes in time."""
         wanted = self.codec[name]
         deadline = time.monotonic() + (self.timeout_s if timeout_s is None else timeout_s)
         while (left := deadline - time.monotonic()) > 0.0:
@@ -216,6 +217,17 @@ class Link:
 
         ``pace`` is ``lockstep`` or ``realtime``: what it is to step by. Its own motors, if it has any, are off then.
         """
+        identity = self.greet()
+        self.command("STOP")
+        self._wait_for_rest()
+        self.cleared_faults = self.faults()
+        self.command("CLEAR")
+        self._use(pace)
+        self._dropped_before = int(self.status.get("dropped_frames", 0))
+        return identity
+
+    def greet(self) -> Identity:
+        """Begin a session with a firmware that speaks our protocol; in lockstep it lets go if it was driving."""
         self._drain()
         identity = self._identity()
         theirs = int(identity["protocol_hash"])
@@ -224,18 +236,13 @@ class Link:
                 f"node {self.codec.node} speaks protocol {theirs:08X}, this host {self.codec.protocol_hash:08X}: "
                 "rebuild the firmware from this protocol/omnibot.dbc (cmake --build --preset host) and start it again"
             )
-        self.command("STOP")
-        self._wait_for_rest()
-        self.command("CLEAR")
-        self._use(pace)
-        self._dropped_before = int(self.status.get("dropped_frames", 0))
         major, minor, patch = (int(identity[part]) for part in ("major", "minor", "patch"))
         return Identity(theirs, f"{major}.{minor}.{patch}")
 
     def _wait_for_rest(self) -> None:
         """Wait until a robot that was still driving, for another host, has braked."""
         while self.mode() == "STOPPING":
-            self._wait_for("STATUS")
+            self.wait_for("STATUS")
 
     def _use(self, pace: str) -> None:
         """Have the robot take its sensors from us, and step as ``pace`` says."""
@@ -255,7 +262,7 @@ class Link:
         while time.monotonic() < deadline:
             self.send("HELLO", self.codec.protocol_hash)
             with contextlib.suppress(SilentError):
-                return self._wait_for("IDENTITY", self.repeat_s)
+                return self.wait_for("IDENTITY", self.repeat_s)
         raise self._silent("IDENTITY")
 
     def _drain(self) -> None:
@@ -279,21 +286,21 @@ class Link:
         self._ask_for("START", self._key)
         self._await_status("START")
 
-    def command(self, operation: str) -> None:
+    def command(self, operation: str, timeout_s: float | None = None) -> None:
         """Ask for a change of mode; RefusedError says why not."""
         self._drain()
         self._ask_for(operation)
-        self._await_status(operation)
+        self._await_status(operation, timeout_s)
 
     def _ask_for(self, operation: str, key: int = 0) -> None:
         self.send("COMMAND", self.codec["COMMAND"].choices["operation"][operation], self._next_counter(), key)
 
-    def _await_status(self, operation: str) -> None:
+    def _await_status(self, operation: str, timeout_s: float | None = None) -> None:
         # A STATUS that was under way before the command may come before the one that answers it.
         wanted = {"ARM": "ARMED", "START": "TRACKING", "CLEAR": "IDLE"}.get(operation)
         status = self.codec["STATUS"]
         while True:
-            answer = self._wait_for("STATUS")
+            answer = self.wait_for("STATUS", timeout_s)
             refusal = status.label("refusal", answer["refusal"])
             mode = status.label("mode", answer["mode"])
             if refusal != "NONE":
@@ -303,17 +310,21 @@ class Link:
 
     def set_parameter(self, parameter: Parameter, value: float) -> None:
         """Set a firmware parameter and check that it was taken."""
-        self.send("PARAMETER_SET", parameter.index, parameter.check(value), self._next_counter())
-        answer = self._wait_for("PARAMETER_VALUE")
+        self.request_parameter(parameter, parameter.check(value))
+
+    def request_parameter(self, parameter: Parameter, value: float) -> None:
+        """Set a firmware parameter to a value that the firmware alone judges; RefusedError has its reason and range."""
+        self.send("PARAMETER_SET", parameter.index, value, self._next_counter())
+        answer = self.wait_for("PARAMETER_VALUE")
         result = self.codec["PARAMETER_VALUE"].label("result", answer["result"])
         if result != "OK":
-            raise RefusedError(f"the firmware refused {parameter.name} = {value:g}: {result}")
+            raise RefusedError(f"the firmware refused {parameter.name} = {value:g}: {result}{_why(result, parameter)}")
         self._check_held(parameter, value, answer)
 
     def check_parameter(self, parameter: Parameter, value: float) -> None:
         """Make sure that the firmware holds a value: another host may have set another one meanwhile."""
         self.send("PARAMETER_GET", parameter.index, FIELD_VALUE, 0)
-        self._check_held(parameter, value, self._wait_for("PARAMETER_VALUE"))
+        self._check_held(parameter, value, self.wait_for("PARAMETER_VALUE"))
 
     def _check_held(self, parameter: Parameter, value: float, answer: Mapping[str, float]) -> None:
         held = answer["value"]
@@ -333,7 +344,7 @@ class Link:
                 self._expect_ack("RECEIVING")
 
     def _expect_ack(self, wanted: str) -> None:
-        answer = self._wait_for("TRAJECTORY_ACK")
+        answer = self.wait_for("TRAJECTORY_ACK")
         result = self.codec["TRAJECTORY_ACK"].label("result", answer["result"])
         if result != wanted:
             raise RefusedError(f"the firmware refused the trajectory at byte {answer['offset_bytes']:g}: {result}")
@@ -350,6 +361,11 @@ class Link:
     def fault(self) -> str:
         """Return the name of the fault in the newest STATUS."""
         return self.codec["STATUS"].label("fault", self.status.get("fault", 0))
+
+    def faults(self) -> list[str]:
+        """Return the names of all faults that are latched by the newest STATUS."""
+        mask = int(self.status.get("fault_mask", 0))
+        return [self.codec["STATUS"].label("fault", bit) for bit in range(mask.bit_length()) if mask >> bit & 1]
 
     # ---- the drive
 
@@ -446,6 +462,13 @@ class Link:
                 continue  # damaged on the way: the tick is asked again
         mode = self._torque.label("mode", torque[4])
         return Answer((torque[0], torque[1], torque[2]), (slip[0], slip[1], slip[2]), mode)
+
+
+def _why(result: str, parameter: Parameter) -> str:
+    """Return what would be right where the firmware's reason alone does not say it."""
+    if result == "OUT_OF_RANGE":
+        return f"; it takes {parameter.range_text()}{', whole numbers only' if parameter.integer else ''}"
+    return "; parameters change only at rest: stop the robot first" if result == "IN_MOTION" else ""
 
 
 def is_can_interface(name: str) -> bool:

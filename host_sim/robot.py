@@ -1,6 +1,8 @@
 """The robot in numbers, read from ``firmware/robot/omnibot.toml``."""
 
+import difflib
 import tomllib
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -33,23 +35,58 @@ class Parameter:
     choices: tuple[str, ...] = ()
 
     def parse(self, text: str) -> float:
-        """Return the value that a text stands for: a number, or the name of a choice."""
+        """Return the value that a text stands for, in its range: a number, or the name of a choice."""
+        return self.check(self.number(text))
+
+    def number(self, text: str) -> float:
+        """Return the number that a text stands for, whatever the range."""
         if self.choices:
             if text not in self.choices:
                 raise OmnibotError(f"no {self.name} {text!r}; there are: {', '.join(self.choices)}")
             return float(self.choices.index(text))
         try:
-            return self.check(float(text))
+            return float(text)
         except ValueError:
-            raise OmnibotError(f"{self.name} = {text} must be a number") from None
+            raise OmnibotError(f"{self.name} = {text} must be a number, {self.range_text()}") from None
+
+    def text(self, value: float) -> str:
+        """Return a value as `number` reads it: the name of a choice, or the shortest number of single precision."""
+        if self.choices and value in range(len(self.choices)):
+            return self.choices[int(value)]
+        return f"{value:g}" if self.integer else np.format_float_positional(np.float32(value), trim="-")
+
+    def range_text(self) -> str:
+        """Return what may be set, unit included."""
+        if self.choices:
+            return ", ".join(self.choices)
+        unit = "" if self.unit == "1" else f" {self.unit}"
+        return f"{self.minimum:g} … {self.maximum:g}{unit}"
 
     def check(self, value: float) -> float:
         """Return the value, or say by name what would be right."""
         if not self.minimum <= value <= self.maximum:
-            raise OmnibotError(f"{self.name} = {value:g} is outside {self.minimum:g} … {self.maximum:g} {self.unit}")
+            raise OmnibotError(f"{self.name} = {value:g} is outside {self.range_text()}")
         if self.integer and value != round(value):
             raise OmnibotError(f"{self.name} = {value:g} must be a whole number")
         return value
+
+
+def shortest(value: float) -> float:
+    """Return the shortest decimal that is the same number in single precision: 0.01, not 0.009999999776."""
+    return float(np.format_float_positional(np.float32(value)))
+
+
+def parameter_named(name: str, parameters: Iterable[Parameter]) -> Parameter:
+    """Return the parameter of a name, or say which names are near it: the paper's symbol, a part, a slip of a key."""
+    by_name = {parameter.name: parameter for parameter in parameters}
+    if name in by_name:
+        return by_name[name]
+    near = [known for known, parameter in by_name.items() if name == parameter.symbol or (name and name in known)]
+    near = near or difflib.get_close_matches(name, by_name)
+    near = near or [known for known in by_name if difflib.get_close_matches(name, known.split("_"), cutoff=0.8)]
+    if near:
+        raise OmnibotError(f"no parameter {name!r}; did you mean {' or '.join(near)}?")
+    raise OmnibotError(f"no parameter {name!r}; there are: {', '.join(by_name)}")
 
 
 @dataclass(frozen=True)
@@ -101,11 +138,7 @@ class Robot:
 
     def parameter(self, name: str) -> Parameter:
         """Return the parameter of that name, or say which names there are."""
-        for parameter in self.parameters:
-            if parameter.name == name:
-                return parameter
-        names = ", ".join(p.name for p in self.parameters)
-        raise OmnibotError(f"no parameter {name!r}; there are: {names}")
+        return parameter_named(name, self.parameters)
 
 
 def load_robot(path: Path = ROBOT_FILE) -> Robot:

@@ -103,7 +103,7 @@ def test_fault_is_forgotten_by_the_run_after_the_next(tmp_path: Path) -> None:
         for _ in range(2):  # each crash is one of its own
             link.send("PARAMETER_GET", 0, 0, 0)
             with pytest.raises(OmnibotError, match="no PARAMETER_VALUE"):
-                link._wait_for("PARAMETER_VALUE", 0.2)
+                link.wait_for("PARAMETER_VALUE", 0.2)
             board._wait_for_firmware()
             frames: list[FrameRecord] = []
             link = Link(board, CODEC, timeout_s=10.0, record=frames.append)

@@ -23,7 +23,7 @@ def link() -> Iterator[Link]:
 def store_of(link: Link) -> tuple[str, int]:
     """Where the firmware's parameters come from, and how many of them are not saved."""
     link.send("HELLO", link.codec.protocol_hash)
-    values = link._wait_for("PARAMETER_STORE")
+    values = link.wait_for("PARAMETER_STORE")
     return link.codec["PARAMETER_STORE"].label("origin", values["origin"]), int(values["unsaved"])
 
 
@@ -51,5 +51,5 @@ def test_file_full_of_something_else_is_told_as_lost(tmp_path: Path, start_firmw
 
     assert store_of(link) == ("LOST", 0)
     link.send("COMMAND", link.codec["COMMAND"].choices["operation"]["NONE"], 1, 0)
-    assert link.codec["STATUS"].label("fault", link._wait_for("STATUS")["fault"]) == "PARAMETERS_LOST"
+    assert link.codec["STATUS"].label("fault", link.wait_for("STATUS")["fault"]) == "PARAMETERS_LOST"
     link.check_parameter(EPSILON, EPSILON.default)
