@@ -7,14 +7,16 @@ import zlib
 from collections.abc import Callable, Mapping, Sequence
 from math import isfinite
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import can
 import numpy as np
 
+from host_sim.bus_choice import BusChoice, choose_bus
 from host_sim.busload import worst_case_bits
 from host_sim.codec import NODES, Codec, WireError
 from host_sim.errors import OmnibotError
+from host_sim.inproc import InprocBus
 from host_sim.pil import IMAGE_FILE, EmulatedBoard
 from host_sim.robot import Parameter
 from host_sim.serial_bus import open_serial
@@ -487,32 +489,35 @@ def open_bus(name: str, node: int, interface: str | None, channel: str | None, b
     Parameters
     ----------
     name
-        ``inproc``, ``pil``, or the name of a SocketCAN interface such as ``vcan0``.
+        ``inproc``, ``pil``, ``can``, or the name of a SocketCAN interface such as ``vcan0``.
     interface, channel, bitrate
         python-can's own; given, they are used instead of ``name``. With ``pil``, a channel is the image to run.
     """
-    if interface is None and name == "pil":
-        return EmulatedBoard(IMAGE_FILE if channel is None else Path(channel))
-    if interface == "slcan":
-        return open_serial(channel, bitrate)
-    make: Callable[..., can.BusABC] = can.Bus
-    if interface is not None:
-        options: dict[str, str | int] = {"interface": interface}
-        options |= {"channel": channel} if channel is not None else {}
-        options |= {"bitrate": bitrate} if bitrate is not None else {}
-        options |= {"node": node} if interface == "omnibot" else {}
-    elif name == "inproc":
-        options = {"interface": "omnibot", "channel": "inproc", "node": node}
-    elif is_can_interface(name):
-        make, options = PromptSocketcanBus, {"channel": name}
-    else:
-        raise OmnibotError(
-            f"no bus {name!r}: 'inproc', 'pil', or a SocketCAN interface that is up; "
-            "tools/with-vcan -- COMMAND makes a vcan0"
-        )
+    choice = choose_bus(name, interface, channel, bitrate)
+    if choice.interface is None and choice.name == "pil":
+        return EmulatedBoard(IMAGE_FILE if choice.channel is None else Path(str(choice.channel)))
+    if choice.interface == "slcan":
+        return open_serial(choice.channel, choice.bitrate, **choice.others)
+    make, options = _bus_of(choice, node)
     try:
         return make(**options)
     except OmnibotError:
         raise
     except Exception as error:  # whatever the driver of some adapter raises
         raise OmnibotError(f"cannot open the bus {options}: {error or type(error).__name__}") from error
+
+
+def _bus_of(choice: BusChoice, node: int) -> tuple[Callable[..., can.BusABC], dict[str, Any]]:
+    """Return what makes a bus, and its options."""
+    if choice.interface is not None:
+        named = {"interface": choice.interface, "channel": choice.channel, "bitrate": choice.bitrate}
+        options = {key: value for key, value in named.items() if value is not None} | dict(choice.others)
+        return can.Bus, options | ({"node": node} if choice.interface == "omnibot" else {})
+    if choice.name == "inproc":
+        return InprocBus, {"node": node}
+    if is_can_interface(choice.name):
+        return PromptSocketcanBus, {"channel": choice.name}
+    raise OmnibotError(
+        f"no bus {choice.name!r}: 'inproc', 'pil', 'can' (python-can's configuration), or a SocketCAN interface "
+        "that is up; tools/with-vcan -- COMMAND makes a vcan0"
+    )

@@ -100,13 +100,13 @@ class SerialBus(slcanBus):
             self._let_go()
 
 
-def open_serial(channel: str | None, bitrate: int | None) -> SerialBus:
-    """Open the serial port that the command line names."""
-    if not channel or not re.fullmatch(r"[^@]+(@\d+)?", channel):
+def open_serial(channel: str | int | None, bitrate: int | None, **options: Any) -> SerialBus:
+    """Open the serial port that the command line names; ``options`` are python-can's, of its configuration."""
+    if not isinstance(channel, str) or not re.fullmatch(r"[^@]+(@\d+)?", channel):
         raise OmnibotError("slcan needs a port: --channel /dev/ttyACM0, or /dev/ttyUSB0@1000000 with the UART's rate")
     try:
-        return SerialBus(channel, CAN_BITS_PER_S if bitrate is None else bitrate)
+        return SerialBus(channel, CAN_BITS_PER_S if bitrate is None else bitrate, **options)
     except OmnibotError:
         raise
-    except (can.CanError, OSError, ValueError) as error:
+    except (can.CanError, OSError, TypeError, ValueError) as error:
         raise OmnibotError(f"cannot open {channel}: {error}") from error
