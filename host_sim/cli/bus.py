@@ -1,0 +1,31 @@
+"""The options that name a bus and a robot on it, the same for every verb that speaks to one."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from host_sim.errors import OmnibotError
+
+BusOption = Annotated[
+    str,
+    typer.Option(
+        envvar="OMNIBOT_BUS",
+        help="inproc, pil (the board's image, emulated), a SocketCAN interface, or can (python-can's configuration)",
+    ),
+]
+InterfaceOption = Annotated[str | None, typer.Option("-i", "--interface", help="python-can interface, over --bus")]
+ChannelOption = Annotated[
+    str | None,
+    typer.Option("-c", "--channel", help="python-can channel; with --bus pil the image, if not build/board's"),
+]
+BitrateOption = Annotated[int | None, typer.Option("-b", "--bitrate", help="bit/s, where the interface wants it")]
+NodeOption = Annotated[int, typer.Option(help="the robot's node on the bus, 0 to 15")]
+TimeoutOption = Annotated[float, typer.Option(help="wall-clock seconds the firmware may be silent")]
+DbcOption = Annotated[Path, typer.Option(help="wire definition to speak")]
+
+
+def check_timeout(timeout: float) -> None:
+    """Refuse a time that makes no sense."""
+    if not 1e-3 <= timeout <= 3600.0:
+        raise OmnibotError(f"--timeout {timeout:g} must be 0.001 … 3600 s")
