@@ -4,8 +4,9 @@ In lockstep the robot's time is the tick, so its frames depend on nothing but th
 sent again in the order of the log, and where the log has a frame of the robot, one is taken from it: its outbox is as
 full as it was, and the frames come in the same order. A difference is named by tick, signal and size.
 
-A robot that had done other things before the session tells so: how many frames it has dropped in its life, another key
-for START (which is then sent in place of the recorded one). Where the keys differ, such signals are told apart.
+A robot that had done other things before the session tells so: how many frames it has dropped in its life, what its
+parameters were until the session set them, another key for START (which is then sent in place of the recorded one).
+Where the keys differ, such signals are told apart.
 """
 
 import contextlib
@@ -29,9 +30,10 @@ NOT_REPLAYED = frozenset(("TIMING", "HEALTH", "CRASH"))
 
 # What comes of the robot's life before the session: messages, or signals of one.
 BEFORE_START = "STATUS before START"
+BEFORE_SET = "PARAMETER_VALUE before PARAMETER_SET"
 OF_ITS_LIFE = frozenset(
     (
-        *("CHALLENGE", "DROPS", "PARAMETER_STORE", BEFORE_START),
+        *("CHALLENGE", "DROPS", "PARAMETER_STORE", BEFORE_START, BEFORE_SET),
         *("STATUS.dropped_frames", "FAULT_RECORD.count", "IDENTITY.drive"),
     )
 )
@@ -264,6 +266,7 @@ class _Replay:
         self._begun = False
         self._greeted = False  # the robot has answered HELLO
         self._started = False
+        self._set: set[float] = set()  # indices of the parameters that the session has set
         self._tick: int | None = None  # of the SYNC sent last
         self._ahead: deque[Frame] = deque()  # frames of the robot that are not compared yet
         self._keys: tuple[int, int] | None = None  # of the last CHALLENGE: recorded, replayed
@@ -310,6 +313,8 @@ class _Replay:
             data = self._with_key(message, data)
         self._greeted &= message.name != "HELLO"
         self._link.send_frame(message.arbitration_id, data)
+        if message.name == "PARAMETER_SET" and len(data) == message.length:
+            self._set.add(message.decode(data)[0])
         if message.name == "SYNC" and len(data) == message.length:
             tick = int(message.decode(data)[0])
             self._outcome.ticks += tick != self._tick
@@ -343,10 +348,17 @@ class _Replay:
             self._outcome.note_absent(other, self._tick_of(other, content), recorded=False)
         self._outcome.frames += 1
         if frame[1] != data:
-            name = message.name if self._started or message.name != "STATUS" else BEFORE_START
-            self._outcome.note(message, name, tick, data, frame[1])
+            self._outcome.note(message, self._name_of(message, data), tick, data, frame[1])
         if message.name == "CHALLENGE" and len(data) == len(frame[1]):
             self._keys = int(message.decode(data)[0]), int(message.decode(frame[1])[0])
+
+    def _name_of(self, message: MessageCodec, data: bytes) -> str:
+        """Name a message; what the robot's life before the session is told by has a name of its own."""
+        if message.name == "STATUS" and not self._started:
+            return BEFORE_START
+        if message.name == "PARAMETER_VALUE" and len(data) == message.length:
+            return message.name if message.decode(data)[0] in self._set else BEFORE_SET
+        return message.name
 
     def _is_counterpart(self, message: MessageCodec, data: bytes, other: MessageCodec, content: bytes) -> bool:
         """Tell whether a frame is the recorded one, or stands in its place: the same message, of the same tick."""

@@ -8,7 +8,7 @@ import platform
 from collections.abc import Iterator, Mapping
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import can
 import numpy as np
@@ -17,10 +17,11 @@ from host_sim.drive import Drive, Status, drive, start_state
 from host_sim.errors import OmnibotError
 from host_sim.link import FrameRecord, Identity, Link
 from host_sim.metrics import measure
+from host_sim.parameters import plain, read_value
 from host_sim.plant import Plant
 from host_sim.realtime import drive_in_real_time
 from host_sim.report import PAGE_NAME, write_report
-from host_sim.robot import Robot
+from host_sim.robot import Robot, shortest
 from host_sim.scenario import Scenario
 from host_sim.trace import FILE_NAME as TRACE_FILE
 from host_sim.trace import write_atomically
@@ -64,29 +65,49 @@ class BusLog:
             self._writer.stop()
 
 
-def prepare(link: Link, robot: Robot, scenario: Scenario, trajectory: Trajectory) -> Identity:
+class SetUp(NamedTuple):
+    """Who was set up, by name what its parameters were before, and what they are now."""
+
+    identity: Identity
+    held: dict[str, float]
+    values: dict[str, float]
+
+
+def prepare(link: Link, robot: Robot, scenario: Scenario, trajectory: Trajectory) -> SetUp:
     """Bring the firmware to TRACKING, in lockstep, on a trajectory with the scenario's parameters."""
-    identity, values = set_up(link, robot, scenario, trajectory)
+    ready = set_up(link, robot, scenario, trajectory)
     link.start()
-    check_parameters(link, robot, values)  # now that nobody can change them any more
-    return identity
+    check_parameters(link, robot, ready.values)  # now that nobody can change them any more
+    return ready
 
 
-def set_up(link: Link, robot: Robot, scenario: Scenario, trajectory: Trajectory) -> tuple[Identity, dict[str, float]]:
-    """Give a firmware in IDLE its pace, trajectory and parameters; returns who it is and what it was told."""
+def set_up(link: Link, robot: Robot, scenario: Scenario, trajectory: Trajectory) -> SetUp:
+    """Give a firmware in IDLE its pace, trajectory and parameters."""
     identity = link.hello(scenario.time)
-    # All of them: a firmware that has run before still holds what it was told then.
-    values = {parameter.name: parameter.default for parameter in robot.parameters} | scenario.firmware_parameters(robot)
+    held = {parameter.name: shortest(read_value(link, parameter.index)) for parameter in robot.parameters}
+    others = held if scenario.keep_parameters else {p.name: p.default for p in robot.parameters}
+    # All of them are set, those that stay as they are as well: so the log of the bus is whole.
+    values = others | scenario.firmware_parameters(robot)
     for name, value in values.items():
         link.set_parameter(robot.parameter(name), value)
     link.upload(trajectory.to_bytes())
-    return identity, values
+    return SetUp(identity, held, values)
 
 
 def check_parameters(link: Link, robot: Robot, values: Mapping[str, float]) -> None:
     """Make sure that the firmware holds what it was told."""
     for name, value in values.items():
         link.check_parameter(robot.parameter(name), value)
+
+
+def overridden(robot: Robot, ready: SetUp) -> dict[str, dict[str, float | str]]:
+    """Return what somebody had set in the robot and the run set otherwise: by name the value held and the run's."""
+    found = {}
+    for parameter in robot.parameters:
+        held, value = ready.held[parameter.name], shortest(ready.values[parameter.name])
+        if held not in (value, shortest(parameter.default)):
+            found[parameter.name] = {"held": plain(parameter, held), "run": plain(parameter, value)}
+    return found
 
 
 @contextlib.contextmanager
@@ -135,7 +156,7 @@ def execute(
     plant = Plant(actual, scenario.traction_of(actual), scenario.speed_length_m, scenario.delta_m_per_s)
     plant.step(np.zeros(3), robot.control_period_s)  # compiles it, so that the drive is not charged for that
     plant.reset(*start_state(robot, trajectory))
-    identity, driven = _drive(link, plant, robot, scenario, trajectory, pace)
+    ready, driven = _drive(link, plant, robot, scenario, trajectory, pace)
     if driven.status is not Status.TIMEOUT:
         with contextlib.suppress(OmnibotError):
             link.command("STOP")
@@ -144,7 +165,10 @@ def execute(
         "status": driven.status.value,
         "reason": driven.reason,
         "scenario": scenario.as_dict() | {"bus": bus_name, "command": command},
-        "versions": _versions(link, identity),
+        "versions": _versions(link, ready.identity),
+        "parameters": {p.name: plain(p, ready.values[p.name]) for p in robot.parameters},
+        "overridden_parameters": overridden(robot, ready),
+        "cleared_faults": link.cleared_faults,
         **measure(driven.trace, trajectory.path.distance, robot.torque_limit_Nm).as_dict(),
         "timing": driven.timing.as_dict(simulated_s),
         "histograms": driven.timing.histograms(),
@@ -165,14 +189,14 @@ def execute(
 
 def _drive(
     link: Link, plant: Plant, robot: Robot, scenario: Scenario, trajectory: Trajectory, pace: float
-) -> tuple[Identity, Drive]:
+) -> tuple[SetUp, Drive]:
     """Drive as the scenario's ``time`` says."""
     if scenario.time == "lockstep":
-        identity = prepare(link, robot, scenario, trajectory)
-        return identity, drive(link, plant, robot, trajectory, pace, scenario.sensors)
-    identity, values = set_up(link, robot, scenario, trajectory)
-    check_parameters(link, robot, values)  # before the start: from then on every period counts
-    return identity, drive_in_real_time(link, plant, robot, trajectory, scenario.sensors)
+        ready = prepare(link, robot, scenario, trajectory)
+        return ready, drive(link, plant, robot, trajectory, pace, scenario.sensors)
+    ready = set_up(link, robot, scenario, trajectory)
+    check_parameters(link, robot, ready.values)  # before the start: from then on every period counts
+    return ready, drive_in_real_time(link, plant, robot, trajectory, scenario.sensors)
 
 
 def _versions(link: Link, identity: Identity) -> dict[str, str]:

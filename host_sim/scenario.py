@@ -31,6 +31,7 @@ class Scenario:
     delta_m_per_s: float = 1e-3
     speed_length_m: float = 1.0
     parameters: Mapping[str, str] = field(default_factory=dict)  # of the firmware, over the ones above
+    keep_parameters: bool = False  # the others stay as the robot holds them; else they are set to their defaults
     plant: Mapping[str, float] = field(default_factory=dict)  # numbers of the robot that the firmware does not know of
     sensors: Sensors = IDEAL_SENSORS
     time: str = "lockstep"  # one of PACES

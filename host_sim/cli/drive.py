@@ -2,16 +2,29 @@
 
 import json
 import math
+import sys
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
+from host_sim.bus_choice import choose_bus
 from host_sim.cli.app import RunFailedError, app, command_line, new_folder, parse_numbers, parse_settings
+from host_sim.cli.bus import (
+    BitrateOption,
+    BusOption,
+    ChannelOption,
+    DbcOption,
+    InterfaceOption,
+    NodeOption,
+    TimeoutOption,
+    check_timeout,
+)
 from host_sim.codec import DBC_FILE, Codec
 from host_sim.errors import OmnibotError
 from host_sim.limits import LIMIT_NAMES, Limits
 from host_sim.link import Link, open_bus
+from host_sim.parameter_file import read_values
 from host_sim.pil import EmulatedBoard
 from host_sim.planner import PathRequest, default_speed, plan
 from host_sim.preview import Preview
@@ -20,7 +33,7 @@ from host_sim.report.compare import load_runs, write_comparison
 from host_sim.report.plan import write_plan
 from host_sim.robot import load_robot
 from host_sim.run import LOG_FILE, BusLog, execute, run_folder
-from host_sim.scenario import Scenario
+from host_sim.scenario import SHARED_PARAMETERS, Scenario
 from host_sim.sensors import Sensors
 from host_sim.trace import compare
 
@@ -29,6 +42,9 @@ WITHOUT_CLOCK = {
     "pil": "the emulated board counts instructions, not time",
 }
 
+SettingOption = Annotated[
+    list[str] | None, typer.Option("--set", help="NAME=VALUE of a firmware parameter; may be repeated")
+]
 PathOption = Annotated[
     str, typer.Option(help="rhombus, line, circle, lemniscate, square, or waypoints: FILE.csv, FILE.toml")
 ]
@@ -73,12 +89,50 @@ def summary(result: dict[str, Any], folder: Path) -> str:
     return f"{result['status']}: {', '.join(figures)}; report: {folder / PAGE_NAME}"
 
 
+def _short(value: float | str) -> str:
+    return value if isinstance(value, str) else f"{value:g}"
+
+
 def _figure(value: float | None, factor: float = 1.0) -> str:
     return "-" if value is None else f"{factor * value:.3g}"
 
 
+def _typed(context: typer.Context) -> set[str]:
+    """Return the names of the firmware's parameters that an option of the run was typed for."""
+    source = context.get_parameter_source
+    return {name for name in SHARED_PARAMETERS if getattr(source(name), "name", "") == "COMMANDLINE"}
+
+
+def _told(context: typer.Context, file: Path | None) -> dict[str, str]:
+    """Return the parameters of a file, but for those that an option was typed for."""
+    values = {} if file is None else read_values(file)
+    return {name: text for name, text in values.items() if name not in _typed(context)}
+
+
+def notes(result: dict[str, Any], asked: set[str]) -> list[str]:
+    """Return what a user ought to know of the robot's own parameters: a line each, as a rule none."""
+    lines = []
+    if "PARAMETERS_LOST" in result["cleared_faults"]:
+        lines.append(
+            "the robot had lost the parameters that it kept, and came up with its defaults (fault PARAMETERS_LOST, now "
+            "cleared); omnibot param set and save keep new ones"
+        )
+    anew = {name: values for name, values in result["overridden_parameters"].items() if name not in asked}
+    if anew:
+        shown = {name: [_short(values[side]) for side in ("held", "run")] for name, values in anew.items()}
+        changes = ", ".join(f"{name} {held} → {ours}" for name, (held, ours) in shown.items())
+        options = [f"--{name.replace('_', '-')} {shown[name][0]}" for name in SHARED_PARAMETERS if name in anew]
+        options += ["--keep-parameters"] if set(anew) - set(SHARED_PARAMETERS) else []
+        lines.append(
+            f"the robot held other parameters than this run, and now holds the run's: {changes}; "
+            f"to drive with its own: {' '.join(options)}"
+        )
+    return lines
+
+
 @app.command()
 def run(
+    context: typer.Context,
     path: PathOption = "rhombus",
     speed: SpeedOption = None,
     corner: CornerOption = "rounded",
@@ -96,19 +150,18 @@ def run(
     profile: ProfileOption = None,
     limit: LimitOption = None,
     corner_cut: CornerCutOption = 0.05,
-    bus: Annotated[
-        str, typer.Option(help="inproc, pil (the board's image, emulated), or a SocketCAN interface")
-    ] = "inproc",
-    interface: Annotated[str | None, typer.Option("-i", "--interface", help="python-can interface, over --bus")] = None,
-    channel: Annotated[
-        str | None,
-        typer.Option("-c", "--channel", help="python-can channel; with --bus pil the image, if not build/board's"),
+    bus: BusOption = "inproc",
+    interface: InterfaceOption = None,
+    channel: ChannelOption = None,
+    bitrate: BitrateOption = None,
+    node: NodeOption = 0,
+    setting: SettingOption = None,
+    set_file: Annotated[
+        Path | None, typer.Option(help="firmware parameters of a .toml or .json file; options beside it win")
     ] = None,
-    bitrate: Annotated[int | None, typer.Option("-b", "--bitrate", help="bit/s, where the interface wants it")] = None,
-    node: Annotated[int, typer.Option(help="the robot's node on the bus, 0 to 15")] = 0,
-    setting: Annotated[
-        list[str] | None, typer.Option("--set", help="NAME=VALUE of a firmware parameter; may be repeated")
-    ] = None,
+    keep_parameters: Annotated[
+        bool, typer.Option("--keep-parameters", help="leave parameters that no option is for as the robot holds them")
+    ] = False,
     plant: Annotated[
         list[str] | None, typer.Option(help="NAME=NUMBER of the robot that the firmware does not know of, mass_kg=2.3")
     ] = None,
@@ -123,18 +176,18 @@ def run(
         str, typer.Option(help="lockstep: neither side waits for the clock; realtime: both keep the control period")
     ] = "lockstep",
     pace: Annotated[float, typer.Option(help="lockstep: never faster than so many times real time")] = math.inf,
-    timeout: Annotated[float, typer.Option(help="wall-clock seconds the firmware may be silent")] = 2.0,
-    dbc: Annotated[Path, typer.Option(help="wire definition to speak")] = DBC_FILE,
+    timeout: TimeoutOption = 2.0,
+    dbc: DbcOption = DBC_FILE,
     out: Annotated[Path | None, typer.Option(help="folder of the results (default: a new one below runs/)")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="print result.json instead of the summary")] = False,
 ) -> None:
     """Drive one path in closed loop and write trace.npz, result.json, bus.log and report.html."""
     if not pace > 0.0:
         raise OmnibotError(f"--pace {pace:g} must be above 0")
-    if not 1e-3 <= timeout <= 3600.0:
-        raise OmnibotError(f"--timeout {timeout:g} must be 0.001 … 3600 s")
-    if time == "realtime" and interface is None and bus in WITHOUT_CLOCK:
-        raise OmnibotError(f"{WITHOUT_CLOCK[bus]}: give --time realtime a bus, such as vcan0")
+    check_timeout(timeout)
+    bus_name = choose_bus(bus, interface, channel, bitrate).label
+    if time == "realtime" and bus_name in WITHOUT_CLOCK:
+        raise OmnibotError(f"{WITHOUT_CLOCK[bus_name]}: give --time realtime a bus, such as vcan0")
     robot = load_robot()
     request = PathRequest(
         path,
@@ -147,6 +200,7 @@ def run(
         parse_limits(limit or []),
         corner_cut,
     )
+    settings = parse_settings("--set", setting or [])
     scenario = Scenario(
         path=request,
         epsilon=epsilon,
@@ -155,7 +209,8 @@ def run(
         traction=traction,  # type: ignore[arg-type]  # checked by Traction
         delta_m_per_s=delta_m_per_s,
         speed_length_m=speed_length_m,
-        parameters=parse_settings("--set", setting or []),
+        parameters=_told(context, set_file) | settings,
+        keep_parameters=keep_parameters,
         plant=parse_numbers("--plant", plant or []),
         sensors=Sensors(pose_rate_hz, pose_delay_s, encoder_counts),
         time=time,
@@ -165,7 +220,6 @@ def run(
     trajectory = plan(request)
     codec = Codec(dbc, node)
     folder = out or new_folder(Path(path).stem)
-    bus_name = bus if interface is None else f"{interface}:{channel}"
     with open_bus(bus, node, interface, channel, bitrate) as opened, run_folder(folder):
         log = BusLog(folder / LOG_FILE, channel="vcan0")
         try:
@@ -175,6 +229,8 @@ def run(
             result = execute(scenario, robot, trajectory, link, log, folder, bus_name, command_line(), pace)
         finally:
             log.close()
+    for line in notes(result, _typed(context) | set(settings)):
+        print(f"omnibot: {line}", file=sys.stderr)  # noqa: T201
     print(json.dumps(result, indent=2) if as_json else summary(result, folder))  # noqa: T201
     if result["status"] != "completed":
         raise RunFailedError(result["reason"])

@@ -16,7 +16,9 @@ from host_sim.inproc import InprocBus
 from host_sim.link import FrameRecord, Link
 from host_sim.planner import PathRequest, plan
 from host_sim.replay import Difference, Outcome, inspect, replay
-from host_sim.robot import ROOT
+from host_sim.robot import ROOT, load_robot
+from host_sim.run import prepare
+from host_sim.scenario import Scenario
 
 CODEC = Codec()
 TICK = 237
@@ -302,6 +304,26 @@ def test_second_session_is_replayed_but_for_what_came_of_the_first(tmp_path: Pat
     assert outcome.ticks == 60
     names = {item.name for item in outcome.excused if not item.name.startswith("STATUS before START.")}
     assert names == {"CHALLENGE.key", "DROPS.damaged", "STATUS.dropped_frames"}
+
+
+def test_parameters_that_the_session_found_set_are_told_apart(tmp_path: Path) -> None:
+    recorded: list[FrameRecord] = []
+    robot, scenario = load_robot(), Scenario(PathRequest("line", 0.5))
+    with InprocBus() as bus:
+        drive_a_little(bus)
+        tuning = Link(bus, CODEC)
+        tuning.hello()
+        tuning.set_parameter(robot.parameter("braking_m_per_s2"), 3.0)
+        link = Link(bus, CODEC, record=recorded.append)
+        prepare(link, robot, scenario, plan(scenario.path))
+        link.tick(0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    frames = [can.Message(time_s, name, is_extended_id=False, data=data) for time_s, name, data in recorded]
+    write_log(frames, tmp_path / "second.log", ".log")
+
+    outcome = replay_of(tmp_path / "second.log")
+
+    assert outcome.differences == []
+    assert "PARAMETER_VALUE before PARAMETER_SET.value" in {item.name for item in outcome.excused}
 
 
 class Robot(can.BusABC):
