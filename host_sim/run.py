@@ -31,6 +31,7 @@ DISK_CURE = "free some space or choose another folder with --out"
 
 # What a run writes into its folder.
 RESULT_FILE, LOG_FILE = "result.json", "bus.log"
+STEP_FILE = "step.json"  # what `omnibot step` writes instead of the result
 
 
 class BusLog:
@@ -129,7 +130,7 @@ def run_folder(folder: Path) -> Iterator[Path]:
             raise OmnibotError(
                 f"another run writes into {folder}; give this one a folder of its own with --out"
             ) from error
-        for name in (RESULT_FILE, LOG_FILE, TRACE_FILE, PAGE_NAME):
+        for name in (RESULT_FILE, STEP_FILE, LOG_FILE, TRACE_FILE, PAGE_NAME):
             (folder / name).unlink(missing_ok=True)
         try:
             yield folder

@@ -1,11 +1,16 @@
 """The options that name a bus and a robot on it, the same for every verb that speaks to one."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
+import can
 import typer
 
+from host_sim.codec import Codec
 from host_sim.errors import OmnibotError
+from host_sim.link import FrameRecord, Link
+from host_sim.pil import EmulatedBoard
 
 BusOption = Annotated[
     str,
@@ -29,3 +34,9 @@ def check_timeout(timeout: float) -> None:
     """Refuse a time that makes no sense."""
     if not 1e-3 <= timeout <= 3600.0:
         raise OmnibotError(f"--timeout {timeout:g} must be 0.001 … 3600 s")
+
+
+def link_on(bus: can.BusABC, codec: Codec, timeout: float, record: Callable[[FrameRecord], None]) -> Link:
+    """Return a session on a bus, its frames recorded."""
+    # An emulator loses nothing: asking again where a machine is slow would only fill the log.
+    return Link(bus, codec, timeout, record, timeout if isinstance(bus, EmulatedBoard) else None)

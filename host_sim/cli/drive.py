@@ -19,13 +19,13 @@ from host_sim.cli.bus import (
     NodeOption,
     TimeoutOption,
     check_timeout,
+    link_on,
 )
 from host_sim.codec import DBC_FILE, Codec
 from host_sim.errors import OmnibotError
 from host_sim.limits import LIMIT_NAMES, Limits
-from host_sim.link import Link, open_bus
+from host_sim.link import open_bus
 from host_sim.parameter_file import read_values
-from host_sim.pil import EmulatedBoard
 from host_sim.planner import PathRequest, default_speed, plan
 from host_sim.preview import Preview
 from host_sim.report import PAGE_NAME
@@ -42,8 +42,17 @@ WITHOUT_CLOCK = {
     "pil": "the emulated board counts instructions, not time",
 }
 
+EpsilonOption = Annotated[float, typer.Option(help="inverse stiffness of the floor, 1/N, above 0 and at most 1")]
+OrderOption = Annotated[
+    str, typer.Option(help="how the firmware predicts slip: order 0, 1, 2 or 3 of the manifold, exact, or observer")
+]
+OutputOption = Annotated[str, typer.Option(help="what follows the path: posture (point and heading) or point")]
+TractionOption = Annotated[str, typer.Option(help="linear or magic")]
 SettingOption = Annotated[
     list[str] | None, typer.Option("--set", help="NAME=VALUE of a firmware parameter; may be repeated")
+]
+PlantOption = Annotated[
+    list[str] | None, typer.Option(help="NAME=NUMBER of the robot that the firmware does not know of, mass_kg=2.3")
 ]
 PathOption = Annotated[
     str, typer.Option(help="rhombus, line, circle, lemniscate, square, or waypoints: FILE.csv, FILE.toml")
@@ -137,14 +146,10 @@ def run(
     speed: SpeedOption = None,
     corner: CornerOption = "rounded",
     corner_accel: CornerAccelOption = 2.0,
-    epsilon: Annotated[float, typer.Option(help="inverse stiffness of the floor, 1/N, above 0 and at most 1")] = 0.01,
-    order: Annotated[
-        str, typer.Option(help="how the firmware predicts slip: order 0, 1, 2 or 3 of the manifold, exact, or observer")
-    ] = "observer",
-    output: Annotated[
-        str, typer.Option(help="what follows the path: posture (point and heading) or point")
-    ] = "posture",
-    traction: Annotated[str, typer.Option(help="linear or magic")] = "magic",
+    epsilon: EpsilonOption = 0.01,
+    order: OrderOption = "observer",
+    output: OutputOption = "posture",
+    traction: TractionOption = "magic",
     duration: DurationOption = None,
     start_before_corner: StartBeforeCornerOption = None,
     profile: ProfileOption = None,
@@ -162,9 +167,7 @@ def run(
     keep_parameters: Annotated[
         bool, typer.Option("--keep-parameters", help="leave parameters that no option is for as the robot holds them")
     ] = False,
-    plant: Annotated[
-        list[str] | None, typer.Option(help="NAME=NUMBER of the robot that the firmware does not know of, mass_kg=2.3")
-    ] = None,
+    plant: PlantOption = None,
     pose_rate_hz: Annotated[
         float | None, typer.Option(help="poses a second; 0: only the first, then dead reckoning (default: every tick)")
     ] = None,
@@ -223,9 +226,7 @@ def run(
     with open_bus(bus, node, interface, channel, bitrate) as opened, run_folder(folder):
         log = BusLog(folder / LOG_FILE, channel="vcan0")
         try:
-            # An emulator loses nothing: asking again where a machine is slow would only fill the log.
-            repeat_s = timeout if isinstance(opened, EmulatedBoard) else None
-            link = Link(opened, codec, timeout, log.record, repeat_s)
+            link = link_on(opened, codec, timeout, log.record)
             result = execute(scenario, robot, trajectory, link, log, folder, bus_name, command_line(), pace)
         finally:
             log.close()

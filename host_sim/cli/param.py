@@ -21,6 +21,7 @@ from host_sim.cli.bus import (
     TimeoutOption,
     check_timeout,
 )
+from host_sim.cli.text import columns
 from host_sim.codec import DBC_FILE, Codec
 from host_sim.errors import OmnibotError
 from host_sim.link import Link, open_bus
@@ -67,14 +68,6 @@ def _print(text: str) -> None:
     print(text)  # noqa: T201
 
 
-def _columns(rows: Sequence[Sequence[str]]) -> str:
-    """Lay rows out, the first one the heading, in columns as wide as they must be."""
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    return "\n".join(
-        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows
-    )
-
-
 def _row(held: Held) -> list[str]:
     told, value = held
     mark = "" if told.text(value) == told.text(told.default) else "*"
@@ -101,7 +94,7 @@ def _show(session: Session, held: Sequence[Held], as_json: bool) -> None:
         _print(json.dumps(_document(session, held), indent=2))
         return
     heading = ["index", "name", "value", "default", "unit", "type", "range"]
-    _print(_columns([heading, *(_row(told) for told in held)]))
+    _print(columns([heading, *(_row(told) for told in held)]))
 
 
 def _show_changes(session: Session, changes: Sequence[Change], as_json: bool) -> None:
@@ -250,7 +243,7 @@ def diff(
         )
     elif differences:
         rows = [[told.name, told.text(held), told.text(theirs), told.unit] for told, theirs, held in differences]
-        _print(_columns([["name", "value", other if file is None else str(file), "unit"], *rows]))
+        _print(columns([["name", "value", other if file is None else str(file), "unit"], *rows]))
     else:
         print(f"no parameter differs from {'the defaults' if file is None else file}", file=sys.stderr)  # noqa: T201
     if differences:
