@@ -2,7 +2,7 @@
 
 # isort: off
 from host_sim.cli.app import app, main
-from host_sim.cli import drive, step, param, log, study, board
+from host_sim.cli import drive, monitor, step, param, log, study, board
 # isort: on
 
-__all__ = ["app", "board", "drive", "log", "main", "param", "step", "study"]
+__all__ = ["app", "board", "drive", "log", "main", "monitor", "param", "step", "study"]

@@ -82,6 +82,11 @@ class Driving:
         self._start_heard, self._zero = False, None
         self._motion.clear()
 
+    def miss(self) -> None:
+        """Take note of frames that were not heard: a known drive goes on, for its ticks are numbered."""
+        self._start_heard = False
+        self._motion.clear()
+
     # ---- frames
 
     def take_sensor(self, name: str, data: bytes, values: tuple[float, ...]) -> None:

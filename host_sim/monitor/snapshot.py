@@ -23,6 +23,8 @@ class Bus:
         That are not of this protocol.
     error_frames
         That the adapter has told of.
+    unheard_frames
+        For which this machine was too slow.
     other_nodes
         Frames by node.
     trouble
@@ -37,6 +39,7 @@ class Bus:
     damaged_frames: int
     unknown_frames: int
     error_frames: int
+    unheard_frames: int
     other_nodes: dict[int, int]
     trouble: str
 

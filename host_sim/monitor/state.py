@@ -20,6 +20,7 @@ from host_sim.robot import ROOT, Robot
 FAULTS_FILE = ROOT / "firmware" / "app" / "faults.toml"
 
 EVENTS = 200
+MISSED_S = 1.0  # after frames were missed, a START may be older than it looks
 FIELD_VALUE = 0  # of PARAMETER_VALUE
 OF_HOST = {
     *("COMMAND", "POSE", "WHEEL_SPEED", "SYNC", "PARAMETER_SET", "PARAMETER_GET"),
@@ -86,9 +87,9 @@ class MonitorState:
         # the bus
         self.trouble = ""
         self._traffic, self._ticks = Traffic(), Traffic()
-        self._damaged_frames = self._unknown_frames = self._error_frames = 0
+        self._damaged_frames = self._unknown_frames = self._error_frames = self._unheard_frames = 0
         self._other_nodes: Counter[int] = Counter()
-        self._time_s = self._robot_heard_s = math.nan
+        self._time_s = self._robot_heard_s = self._missed_s = math.nan
         # the robot
         self.mode: str | None = None
         self.drive: str | None = None
@@ -153,6 +154,12 @@ class MonitorState:
         self.overheard.forget()
         self.driving.lose()
 
+    def miss(self, frames: int) -> None:
+        """Take note that this machine was too slow for some frames: those of a START may have been among them."""
+        self._unheard_frames += frames
+        self._missed_s = self._time_s
+        self.driving.miss()
+
     def tell(self, text: str) -> None:
         """Add an event."""
         self.events.append(Event(self._time_s, text))
@@ -192,7 +199,8 @@ class MonitorState:
             return
         self.tell(f"mode {mode}" if self.mode is None else f"mode {self.mode} → {mode}")
         if mode == "TRACKING":
-            self.driving.begin(heard=self.mode is not None)
+            missed = self._time_s - self._missed_s < MISSED_S
+            self.driving.begin(heard=self.mode is not None and not missed)
         self.driving.note_mode(mode)
         self.mode = mode
 
@@ -360,6 +368,7 @@ class MonitorState:
             damaged_frames=self._damaged_frames + self.driving.damaged_frames,
             unknown_frames=self._unknown_frames,
             error_frames=self._error_frames,
+            unheard_frames=self._unheard_frames,
             other_nodes=dict(sorted(self._other_nodes.items())),
             trouble=self.trouble,
         )
