@@ -62,7 +62,8 @@ class Driving:
         self._codec, self._robot, self._overheard, self._parameter = codec, robot, overheard, parameter
         self._mode = ""
         self._unvouched: dict[str, tuple[bytes, tuple[float, ...]]] = {}
-        self._pose_tick = -1
+        self._pose_is_new = False
+        self._sync_s = math.nan
         self._motion = MotionWindow(robot)
         self._sample_s = -math.inf
         self._sample_count = 0
@@ -101,7 +102,7 @@ class Driving:
         if step > JUMP_TICKS:
             step = 1
             self._motion.clear()
-        self.tick = tick
+        self.tick, self._sync_s = tick, time_s
         self.clock_s = self.clock_s + step * self._robot.control_period_s if by_ticks else time_s
         speed = self._vouched("WHEEL_SPEED", tick, speed_seal)
         if speed is not None:
@@ -109,7 +110,7 @@ class Driving:
             self._motion.add_wheel_speed(self.clock_s, speed)
         pose = self._vouched("POSE", tick, pose_seal)
         if pose is not None:
-            self.pose, self._pose_tick = pose, tick
+            self.pose, self._pose_is_new = pose, True
             self._motion.add_pose(self.clock_s, pose)
         return True
 
@@ -148,15 +149,16 @@ class Driving:
         """
         if self._zero is None and self._start_heard and self.tick is not None:
             self._zero, self._zero_s, self._start_heard = self.tick, time_s, False
-        reference = self._overheard.reference
         if self._zero is None or self.tick is None:
             return
         ticks = (self.tick - self._zero) & 0xFFFFFFFF
         if not by_ticks:
-            ticks = max(round((time_s - self._zero_s) / self._robot.control_period_s), 0)
+            ticks = max(round((self._sync_s - self._zero_s) / self._robot.control_period_s), 0)
         self._drive_s = ticks * self._robot.control_period_s
-        if reference is None or self.pose is None or self._pose_tick != self.tick:
+        reference = self._overheard.reference
+        if reference is None or self.pose is None or not self._pose_is_new:
             return
+        self._pose_is_new = False
         x, y, heading = reference.at(ticks)
         self._reference = (x, y, heading)
         point = self._tracked_point(self.pose)

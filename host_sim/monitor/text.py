@@ -37,7 +37,7 @@ def rows(snapshot: Snapshot, bit_rate: int = 1_000_000) -> list[Row]:
         Row("pose", _pose(snapshot)),
         _error(snapshot),
         Row("slip", _slip(snapshot)),
-        Row("mu", _vector(snapshot.slip.mu_m_per_s, 1e3, "mm/s", ".1f")),
+        Row("mu", _vector(snapshot.slip.mu_m_per_s, 1e3, "mm/s", "z.1f")),
         _torque(snapshot),
         _step_time(snapshot),
         _bus(snapshot, bit_rate),
@@ -64,7 +64,7 @@ def line(snapshot: Snapshot) -> str:
         snapshot.mode,
         f"fault {', '.join(fault.name for fault in snapshot.faults)}" if snapshot.faults else "",
         "" if snapshot.drive_s is None else f"{snapshot.drive_s:.2f} s",
-        "" if pose is None else f"at {pose[0]:.3f} {pose[1]:.3f} m {pose[2]:.3f} rad",
+        "" if pose is None else f"at {pose[0]:z.3f} {pose[1]:z.3f} m {pose[2]:z.3f} rad",
         "" if snapshot.speed_m_per_s is None else f"{snapshot.speed_m_per_s:.3f} m/s",
         "" if tracking.error_m is None else f"error {1e3 * tracking.error_m:.3f} mm",
         "" if snapshot.slip.ratio is None else f"slip {max(map(abs, snapshot.slip.ratio)):.3f}",
@@ -83,6 +83,8 @@ def notice(snapshot: Snapshot) -> str:
     if bus.trouble:
         return f"no bus, trying again: {bus.trouble}"
     if bus.frames == 0:
+        if bus.silent_s < SILENT_S:
+            return "listening"
         return f"silent bus: not a frame in {bus.silent_s:.0f} s; is the robot on, and the bit rate right?"
     if bus.robot_silent_s is None:
         others = ", ".join(str(other) for other in bus.other_nodes)
@@ -122,10 +124,10 @@ def _pose(snapshot: Snapshot) -> str:
     if snapshot.pose is None:
         return NOTHING
     x, y, heading = snapshot.pose
-    place = f"{x:.3f} {y:.3f} m, heading {heading:.3f} rad ({math.degrees(heading):.1f} deg)"
+    place = f"{x:z.3f} {y:z.3f} m, heading {heading:z.3f} rad ({math.degrees(heading):z.1f} deg)"
     if snapshot.speed_m_per_s is None or snapshot.yaw_rate_rad_per_s is None:
         return place
-    return f"{place}; {snapshot.speed_m_per_s:.3f} m/s, {snapshot.yaw_rate_rad_per_s:.3f} rad/s"
+    return f"{place}; {snapshot.speed_m_per_s:.3f} m/s, {snapshot.yaw_rate_rad_per_s:z.3f} rad/s"
 
 
 def _error(snapshot: Snapshot) -> Row:
@@ -133,16 +135,16 @@ def _error(snapshot: Snapshot) -> Row:
     largest = "" if tracking.max_error_m is None else f"largest {1e3 * tracking.max_error_m:.3f} mm"
     if tracking.error_m is None or tracking.heading_error_rad is None:
         return Row("error", "; ".join(part for part in (f"{NOTHING} ({tracking.unknown})", largest) if part))
-    return Row("error", f"{1e3 * tracking.error_m:.3f} mm, {1e3 * tracking.heading_error_rad:.2f} mrad; {largest}")
+    return Row("error", f"{1e3 * tracking.error_m:.3f} mm, {1e3 * tracking.heading_error_rad:z.2f} mrad; {largest}")
 
 
 def _slip(snapshot: Snapshot) -> str:
     slip = snapshot.slip
     if slip.velocity_m_per_s is None:
         return f"{NOTHING} (no wheel speeds on the bus)" if snapshot.drive == "MOTORS" else NOTHING
-    ratio = "ratio - (too slow)" if slip.ratio is None else f"ratio {_numbers(slip.ratio, '.4f')}"
+    ratio = "ratio - (too slow)" if slip.ratio is None else f"ratio {_numbers(slip.ratio, 'z.4f')}"
     largest = "" if slip.max_ratio is None else f"; largest {slip.max_ratio:.3f}"
-    return f"{ratio}; {_vector(slip.velocity_m_per_s, 1e3, 'mm/s', '.1f')}{largest}"
+    return f"{ratio}; {_vector(slip.velocity_m_per_s, 1e3, 'mm/s', 'z.1f')}{largest}"
 
 
 def _torque(snapshot: Snapshot) -> Row:
@@ -150,7 +152,7 @@ def _torque(snapshot: Snapshot) -> Row:
         return Row("torque", NOTHING)
     share = max(map(abs, snapshot.torque_Nm)) / snapshot.torque_limit_Nm if snapshot.torque_limit_Nm else math.inf
     largest = "" if snapshot.max_torque_Nm is None else f"; largest {snapshot.max_torque_Nm:.3f}"
-    text = f"{_numbers(snapshot.torque_Nm, '.4f')} N*m, {share:.0%} of {snapshot.torque_limit_Nm:.3g}{largest}"
+    text = f"{_numbers(snapshot.torque_Nm, 'z.4f')} N*m, {share:.0%} of {snapshot.torque_limit_Nm:.3g}{largest}"
     return Row("torque", text, Mood.WARNING if share > 0.999 and snapshot.mode == "TRACKING" else Mood.PLAIN)
 
 
