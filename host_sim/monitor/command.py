@@ -39,9 +39,8 @@ def look_once(listener: Listener, look_s: float, *, as_json: bool) -> tuple[str,
 
 
 def show(listener: Listener, every_s: float) -> None:
-    """Show the robot in the terminal until Ctrl-C, or until nobody reads any more."""
-    with contextlib.suppress(BrokenPipeError):
-        watch(listener, Console(highlight=False), every_s)
+    """Show the robot in the terminal until Ctrl-C."""
+    watch(listener, Console(highlight=False), every_s)
 
 
 def serve(listener: Listener, node: int, port: int) -> None:
@@ -49,5 +48,5 @@ def serve(listener: Listener, node: int, port: int) -> None:
     console = Console(highlight=False)
     with MonitorServer(listener, load_robot(), node, port) as server:
         console.print(f"monitor: {server.url} (Ctrl-C ends it)", soft_wrap=True)
-        with contextlib.suppress(KeyboardInterrupt, BrokenPipeError):
+        with contextlib.suppress(KeyboardInterrupt):
             watch_in_lines(listener, console, 1.0, states=False)

@@ -6,7 +6,7 @@ const LINEAR_SLIP = 0.1; // the traction curve is a line up to here
 const find = (id) => document.getElementById(id);
 const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 const known = (value) => value !== null && value !== undefined;
-const figure = (value, factor = 1, digits = 3) => (known(value) ? (value * factor).toFixed(digits) : "–");
+const figure = (value, factor = 1, digits = 3) => (known(value) ? (value * factor).toFixed(digits).replace(/^-(?=[0.]*$)/, "") : "–");
 const largest = (values) => (values && values.every(known) ? Math.max(...values.map(Math.abs)) : null);
 
 const WHEELS = [["--wheel1", []], ["--wheel2", [6, 3]], ["--wheel3", [2, 2]]];
@@ -156,45 +156,65 @@ function pointOf(pose) {
   return [pose[0] - robot.tracked_point_m * Math.sin(pose[2]), pose[1] + robot.tracked_point_m * Math.cos(pose[2])];
 }
 
-function viewOf(pose, trail) {
+/** What is to be seen of the ground: west, south, east, north. */
+function closeUp(pose) {
   const reach = 2.2 * (robot.body_radius_m + robot.wheel_radius_m);
-  if (pose && find("follow").checked) return [pose[0] - reach, pose[1] - reach, pose[0] + reach, pose[1] + reach];
+  return [pose[0] - reach, pose[1] - reach, pose[0] + reach, pose[1] + reach];
+}
+
+function wholeWay(pose, trail) {
   const points = [...outline, ...trail.filter((point) => known(point[0]))];
   if (pose) points.push([pose[0], pose[1]]);
   if (!points.length) points.push([0, 0]);
   const xs = points.map((point) => point[0]), ys = points.map((point) => point[1]);
-  const margin = 0.5 * reach;
+  const margin = robot.body_radius_m + 2 * robot.wheel_radius_m;
   return [Math.min(...xs) - margin, Math.min(...ys) - margin, Math.max(...xs) + margin, Math.max(...ys) + margin];
 }
 
+/** The path, and the robot small on it; the robot enlarged in a corner, or the other way round. */
 function drawWorld() {
   const { pen, width, height } = prepare(find("world"));
   const pose = state.pose, trail = samples.map((sample) => (known(sample.pose[0]) ? pointOf(sample.pose) : [null, null]));
-  const [west, south, east, north] = viewOf(pose, trail);
-  const scale = Math.min((width - 16) / (east - west), (height - 16) / (north - south));
-  const place = ([x, y]) => (known(x) ? [width / 2 + scale * (x - (west + east) / 2), height / 2 - scale * (y - (south + north) / 2)] : [null, null]);
-  drawGrid(pen, width, height, scale);
+  const whole = wholeWay(pose, trail), near = pose ? closeUp(pose) : whole, swapped = find("swap").checked;
+  drawScene(pen, { x: 0, y: 0, width, height }, swapped ? near : whole, trail);
+  if (!pose) return;
+  const side = Math.round(0.34 * Math.min(width, height));
+  const inset = { x: width - side, y: 0, width: side, height: side };
+  pen.fillStyle = colour("--card"); pen.strokeStyle = colour("--rule"); pen.lineWidth = 1;
+  pen.beginPath(); pen.rect(inset.x + 0.5, inset.y + 0.5, side - 1, side - 1); pen.fill(); pen.stroke();
+  drawScene(pen, inset, swapped ? whole : near, trail);
+}
+
+function drawScene(pen, box, [west, south, east, north], trail) {
+  const scale = Math.min((box.width - 12) / (east - west), (box.height - 12) / (north - south));
+  const middle = [box.x + box.width / 2, box.y + box.height / 2];
+  const place = ([x, y]) => (known(x) ? [middle[0] + scale * (x - (west + east) / 2), middle[1] - scale * (y - (south + north) / 2)] : [null, null]);
+  pen.save();
+  pen.beginPath(); pen.rect(box.x + 1, box.y + 1, box.width - 2, box.height - 2); pen.clip();
+  drawScale(pen, box, scale);
   pen.lineJoin = "round";
   polyline(pen, outline.map(place));
   pen.strokeStyle = colour("--reference"); pen.lineWidth = 6; pen.stroke();
   polyline(pen, trail.map(place));
   pen.strokeStyle = colour("--wheel1"); pen.lineWidth = 2; pen.stroke();
-  if (pose) drawRobot(pen, place, scale, pose);
+  if (state.pose) drawRobot(pen, place, scale, state.pose);
   if (state.tracking.reference) {
     const [x, y] = place(state.tracking.reference);
-    pen.beginPath(); pen.arc(x, y, 5, 0, 2 * Math.PI);
+    pen.beginPath(); pen.arc(x, y, 6, 0, 2 * Math.PI);
     pen.strokeStyle = colour("--wheel2"); pen.lineWidth = 2; pen.stroke();
   }
+  pen.restore();
 }
 
-function drawGrid(pen, width, height, scale) {
-  const step = stepOf(width / scale, 6);
+/** A bar of a round length. */
+function drawScale(pen, box, scale) {
+  const step = stepOf(box.width / scale, 6), x = box.x + 8, y = box.y + box.height - 8;
   pen.fillStyle = pen.strokeStyle = colour("--muted");
   pen.lineWidth = 2;
   pen.beginPath();
-  pen.moveTo(10, height - 10); pen.lineTo(10 + step * scale, height - 10);
+  pen.moveTo(x, y); pen.lineTo(x + step * scale, y);
   pen.stroke();
-  pen.fillText(step < 1 ? `${+(step * 100).toPrecision(3)} cm` : `${step} m`, 10, height - 16);
+  pen.fillText(step < 1 ? `${+(step * 100).toPrecision(3)} cm` : `${step} m`, x, y - 5);
 }
 
 /** Body, wheels and the arm to the tracked point, to scale. */
@@ -294,4 +314,4 @@ function draw() {
 }
 
 makeCurves();
-find("follow").addEventListener("change", schedule);
+find("swap").addEventListener("change", schedule);

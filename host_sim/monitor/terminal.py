@@ -2,8 +2,8 @@
 
 import contextlib
 import math
-import time
 from collections.abc import Callable, Sequence
+from time import localtime, monotonic, sleep, strftime
 
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
@@ -86,7 +86,7 @@ def _event(event: Event) -> str:
 def _clock(time_s: float) -> str:
     """Return the time of day, where a bus' clock is that of the day; seconds elsewhere."""
     if time_s > 1e9:
-        return time.strftime("%H:%M:%S", time.localtime(time_s)) + f".{int(time_s * 1e3) % 1000:03d}"
+        return strftime("%H:%M:%S", localtime(time_s)) + f".{int(time_s * 1e3) % 1000:03d}"
     return f"{time_s:.3f} s"
 
 
@@ -105,26 +105,26 @@ def _watch_on_screen(listener: Listener, console: Console) -> None:
         while True:
             news, (columns, lines) = listener.news(), console.size
             live.update(picture(news, columns, lines, ascii_only=console.options.ascii_only), refresh=True)
-            time.sleep(1.0 / FRAMES_PER_S)
+            sleep(1.0 / FRAMES_PER_S)
     for row in rows(listener.snapshot()):
         console.print(Text(f"{row.name:<{NAME_COLUMNS}}{row.text}"), soft_wrap=True)
 
 
 def watch_in_lines(listener: Listener, console: Console, every_s: float, *, states: bool = True) -> None:
     """Print a line for each event, and, if ``states``, one every so often; a notice is said when it changes."""
-    events, said, due_s = 0, "", time.monotonic()
+    events, said, due_s = 0, "", monotonic()
     while True:
         news = listener.news(after_sample=1 << 62, after_event=events)
         events = news.event_count
         for event in news.events:
             console.print(Text(_event(event)), soft_wrap=True)
-        now_s = time.monotonic()
+        now_s = monotonic()
         if states and now_s >= due_s:
             console.print(Text(line(news.snapshot)), soft_wrap=True)
             due_s = now_s + every_s
         elif not states:
             said = _say(console, said, notice(news.snapshot))
-        time.sleep(min(every_s, 0.2))
+        sleep(min(every_s, 0.2))
 
 
 def _say(console: Console, before: str, now: str) -> str:
