@@ -158,7 +158,7 @@ function pointOf(pose) {
 
 /** What is to be seen of the ground: west, south, east, north. */
 function closeUp(pose) {
-  const reach = 2.2 * (robot.body_radius_m + robot.wheel_radius_m);
+  const reach = 1.6 * (robot.body_radius_m + robot.wheel_radius_m);
   return [pose[0] - reach, pose[1] - reach, pose[0] + reach, pose[1] + reach];
 }
 
@@ -171,18 +171,16 @@ function wholeWay(pose, trail) {
   return [Math.min(...xs) - margin, Math.min(...ys) - margin, Math.max(...xs) + margin, Math.max(...ys) + margin];
 }
 
-/** The path, and the robot small on it; the robot enlarged in a corner, or the other way round. */
+/** The whole way above, the robot enlarged below. */
 function drawWorld() {
   const { pen, width, height } = prepare(find("world"));
   const pose = state.pose, trail = samples.map((sample) => (known(sample.pose[0]) ? pointOf(sample.pose) : [null, null]));
-  const whole = wholeWay(pose, trail), near = pose ? closeUp(pose) : whole, swapped = find("swap").checked;
-  drawScene(pen, { x: 0, y: 0, width, height }, swapped ? near : whole, trail);
+  const cut = pose ? Math.round(0.62 * height) : height;
+  drawScene(pen, { x: 0, y: 0, width, height: cut }, wholeWay(pose, trail), trail);
   if (!pose) return;
-  const side = Math.round(0.34 * Math.min(width, height));
-  const inset = { x: width - side, y: 0, width: side, height: side };
-  pen.fillStyle = colour("--card"); pen.strokeStyle = colour("--rule"); pen.lineWidth = 1;
-  pen.beginPath(); pen.rect(inset.x + 0.5, inset.y + 0.5, side - 1, side - 1); pen.fill(); pen.stroke();
-  drawScene(pen, inset, swapped ? whole : near, trail);
+  polyline(pen, [[0, cut + 0.5], [width, cut + 0.5]]);
+  pen.strokeStyle = colour("--rule"); pen.lineWidth = 1; pen.stroke();
+  drawScene(pen, { x: 0, y: cut + 1, width, height: height - cut - 1 }, closeUp(pose), trail);
 }
 
 function drawScene(pen, box, [west, south, east, north], trail) {
@@ -314,4 +312,3 @@ function draw() {
 }
 
 makeCurves();
-find("swap").addEventListener("change", schedule);
