@@ -22,6 +22,7 @@ from host_sim.robot import Robot
 HOST = "127.0.0.1"
 DEFAULT_PORT = 8047
 UPDATES_PER_S = 12.0
+STOP_LOOK_S = 0.05
 # A page of elsewhere whose name was made to point here must not read the robot.
 OWN_NAMES = {"127.0.0.1", "localhost"}
 POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; connect-src 'self'; img-src data:"
@@ -94,7 +95,9 @@ class MonitorServer:
                 ) from error
             raise OmnibotError(f"cannot serve on port {port}: {error.strerror}; give one of 1024 … 65535") from error
         self._server.daemon_threads = True
-        self._thread = threading.Thread(target=self._server.serve_forever, name="monitor-server", daemon=True)
+        self._thread = threading.Thread(
+            target=self._server.serve_forever, args=(STOP_LOOK_S,), name="monitor-server", daemon=True
+        )
 
     @property
     def url(self) -> str:

@@ -2,6 +2,7 @@
 
 import contextlib
 import math
+import re
 from collections.abc import Callable, Sequence
 from time import localtime, monotonic, sleep, strftime
 
@@ -128,7 +129,7 @@ def watch_in_lines(listener: Listener, console: Console, every_s: float, *, stat
 
 
 def _say(console: Console, before: str, now: str) -> str:
-    """Print a notice when it comes up; its numbers may change."""
-    if now and not before:
+    """Print a notice when its words change; its numbers may."""
+    if now and re.sub(r"\d+", "", now) != re.sub(r"\d+", "", before):
         console.print(Text(now), soft_wrap=True)
     return now

@@ -29,7 +29,7 @@ from host_sim.errors import OmnibotError
 from host_sim.inproc import InprocBus
 from host_sim.link import Link
 from host_sim.monitor import terminal
-from host_sim.monitor.listen import Listener, open_listening
+from host_sim.monitor.listen import Listener, News, open_listening
 from host_sim.monitor.server import MonitorServer, about, updates
 from host_sim.monitor.snapshot import Snapshot
 from host_sim.monitor.state import MonitorState
@@ -258,6 +258,20 @@ def test_pipe_gets_plain_lines_until_ctrl_c(frames: list[can.Message], monkeypat
     states = [text for text in lines if text.startswith("TRACKING, ")]
     assert len(states) == 3
     assert re.search(r"error \d\.\d{3} mm, slip \d\.\d{3}, torque \d\.\d{3} N\*m, bus ", states[0])
+
+
+def test_notice_is_printed_when_its_words_change(monkeypatch: pytest.MonkeyPatch) -> None:
+    state, written = MonitorState(CODEC, ROBOT), io.StringIO()
+    instants_s = iter([0.2, 0.4, 1.2, 2.2, 3.2])
+
+    class Silence:
+        def news(self, **_: int) -> News:
+            return News(state.snapshot(next(instants_s)), [], [], 0)
+
+    after(monkeypatch, 4, KeyboardInterrupt())
+    with pytest.raises(KeyboardInterrupt):
+        terminal.watch_in_lines(Silence(), Console(file=written, width=80), 1.0, states=False)  # type: ignore[arg-type]
+    assert [text.split(":")[0] for text in written.getvalue().splitlines()] == ["listening", "silent bus"]
 
 
 def test_screen_is_drawn_until_ctrl_c_and_leaves_the_last_state(
