@@ -33,16 +33,17 @@ def browser() -> Iterator[Browser]:
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Runs of two orders, the first twice, a plan, the paper's quickest items, and a comparison."""
+    """Runs of two orders, the first twice, a plan, a step, the paper's quickest items, and a comparison."""
     folder = tmp_path_factory.mktemp("pages")
     for name, order in (("order 0", "0"), ("again", "0"), ("observer", "observer")):
         assert omnibot("run", *SHORT, "--order", order, "--out", str(folder / name)) == 0
     assert omnibot("plan", "--path", "square", "--speed", "0.8", "--out", str(folder / "plan")) == 0
+    assert omnibot("step", "--duration", "0.5", "--out", str(folder / "step")) == 0
     assert omnibot("paper", "--only", "fig2,fig4", "--out", str(folder / "paper")) == 0
     compared = [str(folder / name) for name in ("order 0", "again", "observer")]
     with pytest.raises(OmnibotError, match="order 0 and observer differ in"):
         omnibot("compare", *compared, "--out", str(folder / "compare"))
-    return {name: folder / name for name in ("observer", "plan", "paper", "compare")}
+    return {name: folder / name for name in ("observer", "plan", "step", "paper", "compare")}
 
 
 def omnibot(*arguments: str) -> int:
@@ -85,7 +86,7 @@ def drawn_sizes(page: Page) -> list[tuple[float, float, float]]:
     return sizes
 
 
-@pytest.mark.parametrize("name", ["observer", "plan", "paper", "compare"])
+@pytest.mark.parametrize("name", ["observer", "plan", "step", "paper", "compare"])
 @pytest.mark.parametrize(
     ("size", "more"),
     [(DESK, {}), (PHONE, {"has_touch": True, "is_mobile": True}), (DESK, {"color_scheme": "dark"})],
@@ -96,7 +97,7 @@ def test_page_draws_every_figure_asks_for_nothing_and_fits(
 ) -> None:
     with Seen(browser, runs[name], size, **more) as seen:
         sizes = drawn_sizes(seen.page)
-        assert len(sizes) >= (2 if name == "plan" else 6)
+        assert len(sizes) >= {"plan": 2, "step": 4}.get(name, 6)
         assert all(width > 200 and height > 100 and extent > 50 for width, height, extent in sizes), sizes
         assert seen.complaints == []
         # The blob is the drawing library, unpacked from the page itself.
