@@ -473,12 +473,12 @@ def _why(result: str, parameter: Parameter) -> str:
     return "; parameters change only at rest: stop the robot first" if result == "IN_MOTION" else ""
 
 
-def is_can_interface(name: str) -> bool:
-    """Tell whether this machine has a CAN interface of that name (ARPHRD_CAN is 280)."""
+def is_can_interface(name: str, root: Path = Path("/")) -> bool:
+    """Tell whether the machine whose files are below a root has a CAN interface of that name (ARPHRD_CAN is 280)."""
     if name in ("", ".", "..") or "/" in name:
         return False
     try:
-        return Path("/sys/class/net", name, "type").read_text().strip() == "280"
+        return (root / "sys/class/net" / name / "type").read_text().strip() == "280"
     except OSError:
         return False
 
