@@ -204,6 +204,7 @@ class _RealTimeDrive:
         self.timing = RealTiming(1e6 * self.period_s)
         self.listener = Listener(link, self.timing)
         self.first_sync = 0  # the tick that SYNC carries at tick 0 of the drive
+        self.tick = 0  # of the drive
 
     def sync_of(self, tick: int) -> int:
         """Return the tick that SYNC carries: the host's ticks go on from those before the drive."""
@@ -289,20 +290,23 @@ class _RealTimeDrive:
         return max(-PHASE_STEP_MAX_S, min(PHASE_STEP_MAX_S, PHASE_GAIN * error_s))
 
     def come_to_rest(self) -> None:
-        """Have the firmware stop, and be there until it has: a host that goes before is a fault."""
+        """Have the firmware stop, and drive the plant until it has: a host that goes before is a fault."""
         self.link.command("STOP")
         instant_s = time.perf_counter()
-        for tick in range(self.ticks, self.ticks + round(REST_S / self.period_s)):
+        for tick in range(self.tick + 1, self.tick + 1 + round(REST_S / self.period_s)):
             if self.link.mode() != "STOPPING":
                 return
             instant_s += self.period_s
             self.send(tick)
             self.listener.listen(instant_s)
+            if self.listener.newest is not None:
+                self.plant.step(np.array(self.listener.newest.torque_Nm), self.period_s)
 
     def run(self) -> tuple[Status, str]:
         """Drive to the end of the trajectory."""
         instant_s = self.begin()
         for tick in range(self.ticks):
+            self.tick = tick
             self.link.time_s = tick * self.period_s
             ended = diverged(self.plant, self.robot, self.link.time_s, self.reference[tick])
             if ended is not None:
@@ -347,7 +351,7 @@ def drive_in_real_time(
     except KeyboardInterrupt:
         status, reason = Status.INTERRUPTED, f"stopped by Ctrl-C at {link.time_s:.3f} s"
     session.timing.total_s = time.perf_counter() - begin_s
-    if status is Status.COMPLETED:
-        with contextlib.suppress(OmnibotError):
+    if status in (Status.COMPLETED, Status.INTERRUPTED):
+        with contextlib.suppress(OmnibotError, KeyboardInterrupt):
             session.come_to_rest()
     return Drive(status, reason, session.recorder.to_trace(), session.timing)

@@ -87,7 +87,12 @@ def plant() -> Plant:
     return made
 
 
-def by_the_clock(monkeypatch: pytest.MonkeyPatch, bus: ClockedBus, parameters: dict[str, str] | None = None) -> Drive:
+def by_the_clock(
+    monkeypatch: pytest.MonkeyPatch,
+    bus: ClockedBus,
+    parameters: dict[str, str] | None = None,
+    driven_plant: Plant | None = None,
+) -> Drive:
     for clock in ("host_sim.realtime.time.perf_counter", "host_sim.link.time.monotonic", "can.bus.time"):
         monkeypatch.setattr(clock, bus.clock)
     scenario = Scenario(PATH, time="realtime", parameters=parameters or {})
@@ -95,7 +100,7 @@ def by_the_clock(monkeypatch: pytest.MonkeyPatch, bus: ClockedBus, parameters: d
     with bus:
         link = Link(bus, Codec())
         set_up(link, ROBOT, scenario, trajectory)
-        return drive_in_real_time(link, plant(), ROBOT, trajectory)
+        return drive_in_real_time(link, driven_plant or plant(), ROBOT, trajectory)
 
 
 @pytest.fixture(scope="module")
@@ -150,6 +155,33 @@ def test_simulator_asleep_for_longer_than_wheel_speeds_may_be_old_is_a_fault(mon
     assert driven.status is Status.FAULT
     assert "STALE_WHEEL_SPEED" in driven.reason
     assert 200 <= len(driven.trace) <= 202
+
+
+class InterruptedBus(ClockedBus):
+    """Its user presses Ctrl-C as the SYNC of a tick goes out; ``mode`` is that of the firmware's newest TORQUE."""
+
+    mode = 0
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        super().send(msg, timeout)
+        if msg.arbitration_id == 64 and int.from_bytes(msg.data[:4], "little") == FIRST_SYNC + 300:
+            raise KeyboardInterrupt
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        message, filtered = super()._recv_internal(timeout)
+        if message is not None and message.arbitration_id == 80:
+            self.mode = message.data[6] >> 4
+        return message, filtered
+
+
+def test_ctrl_c_keeps_the_trace_and_brings_the_robot_to_rest(monkeypatch: pytest.MonkeyPatch, lockstep: Trace) -> None:
+    bus, driven_plant = InterruptedBus(), plant()
+    driven = by_the_clock(monkeypatch, bus, driven_plant=driven_plant)
+    assert (driven.status, driven.reason) == (Status.INTERRUPTED, "stopped by Ctrl-C at 0.300 s")
+    np.testing.assert_array_equal(driven.trace.pose, lockstep.pose[:300])
+    assert np.hypot(*driven.trace.body_twist[-1, :2]) > 0.2
+    assert bus.mode == Codec()["STATUS"].choices["mode"]["IDLE"], "a host that goes while the robot brakes is a fault"
+    assert np.abs(driven_plant.body_twist).max() < 1e-3
 
 
 def test_firmware_whose_timer_stops_ends_the_start(monkeypatch: pytest.MonkeyPatch) -> None:
