@@ -6,10 +6,8 @@ wheels keep the newest torque that came. What the firmware sends is judged at it
 
 import functools
 import math
-import os
 import random
 from collections.abc import Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any, Self
 
@@ -23,6 +21,7 @@ from host_sim.inproc import InprocBus
 from host_sim.link import Link
 from host_sim.planner import PathRequest, plan
 from host_sim.plant import Plant
+from host_sim.pool import in_processes
 from host_sim.robot import Robot, load_robot
 from host_sim.run import prepare, set_up
 from host_sim.scenario import PACES, Scenario
@@ -451,8 +450,7 @@ def run_case(case: FaultCase) -> dict[str, Any]:
 
 def run_cases(cases: Iterable[FaultCase], jobs: int | None = None) -> Iterator[dict[str, Any]]:
     """Run cases on so many processes (default: one a core); gives the rows in order."""
-    with ProcessPoolExecutor(jobs or os.cpu_count()) as pool:
-        yield from pool.map(run_case, cases, chunksize=2)
+    return in_processes(run_case, cases, jobs, at_once=2)
 
 
 def restart_cases(count: int, seed: int = 0) -> Iterator[FaultCase]:

@@ -5,9 +5,7 @@ the last bit as over python-can and ten times faster.
 """
 
 import itertools
-import os
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,6 +19,7 @@ from host_sim.loop import drive_without_bus
 from host_sim.metrics import measure, tracking_error
 from host_sim.planner import PathRequest, plan
 from host_sim.plant import Plant
+from host_sim.pool import in_processes
 from host_sim.robot import load_robot
 from host_sim.run import prepare
 from host_sim.scenario import Scenario
@@ -137,8 +136,7 @@ def run_case(case: Case) -> dict[str, Any]:
 
 def run_sweep(name: str, jobs: int | None = None) -> Iterator[dict[str, Any]]:
     """Run a sweep on so many processes (default: one a core); gives the rows in order."""
-    with ProcessPoolExecutor(jobs or os.cpu_count()) as pool:
-        yield from pool.map(run_case, SWEEPS[name](), chunksize=4)
+    return in_processes(run_case, SWEEPS[name](), jobs, at_once=4)
 
 
 def table(rows: list[dict[str, Any]]) -> str:
