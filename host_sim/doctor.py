@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import tomllib
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -120,11 +121,9 @@ def _last_line(text: str) -> str:
 
 
 def _python_package() -> str:
-    """Every package that ours asks for is there, in a version that will do."""
-    for line in importlib.metadata.requires("omnibot") or ():
-        wanted = Requirement(line)
-        if wanted.marker is not None and not wanted.marker.evaluate({"extra": ""}):
-            continue
+    """Every package that ours asks for now, not when it was installed, is there, in a version that will do."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    for wanted in map(Requirement, project["dependencies"]):
         try:
             found = importlib.metadata.version(wanted.name)
         except importlib.metadata.PackageNotFoundError:
@@ -132,7 +131,7 @@ def _python_package() -> str:
         if not wanted.specifier.contains(found, prereleases=True):
             raise Broken(f"{wanted.name} is {found}, not {wanted.specifier}")
     python = ".".join(map(str, sys.version_info[:3]))
-    return f"omnibot {importlib.metadata.version('omnibot')}, Python {python}"
+    return f"omnibot {project['version']}, Python {python}"
 
 
 def _run_in_process() -> str:
