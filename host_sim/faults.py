@@ -142,6 +142,7 @@ class FaultyBus(can.BusABC):
         watch: Callable[[bool, can.Message], None] | None = None,
     ) -> None:
         self.channel_info = f"{bus.channel_info}, with faults"
+        self.is_ours_alone = getattr(bus, "is_ours_alone", False)
         self._bus = bus
         self._codec = codec
         self._revive = revive

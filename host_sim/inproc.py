@@ -63,6 +63,8 @@ class InprocBus(can.BusABC):
         The robot's node, 0 … 15.
     """
 
+    is_ours_alone = True  # no other host can be on it
+
     def __init__(self, channel: Any = "inproc", node: int = 0, **kwargs: Any) -> None:
         self.channel_info = f"omnibot firmware in-process: {channel}, node {node}"
         self.library = load_firmware()

@@ -31,6 +31,9 @@ FIELD_VALUE = 0  # of PARAMETER_GET
 TRAJECTORY_FRAME_BYTES = 6
 TRAJECTORY_ACK_FRAMES = 16
 
+# A host that drives is heard more often than this, or the firmware takes it for gone (HOST_SILENT).
+LISTEN_S = 0.1
+DRIVING_HOST = ("COMMAND", "POSE", "WHEEL_SPEED", "SYNC", "TRAJECTORY_BEGIN", "TRAJECTORY_DATA")
 OTHER_HOST = "does another host use it? Give each run a node of its own with --node"
 
 FrameRecord = tuple[float, int, bytes]
@@ -132,6 +135,7 @@ class Link:
         self._record = record
         self._counter = 0
         self._key: int | None = None
+        self._hellos = self._identities = 0  # sent, and answers to them
         self._seals = (0, 0)  # of the sensor frames that went out last
         self._dropped_before = 0
         self.forget_rounding()
@@ -161,12 +165,15 @@ class Link:
             time.sleep(ROOM_S)
         self._note(arbitration_id, data)
 
-    def receive_frame(self, wait_s: float) -> tuple[int, bytes] | None:
-        """Return identifier and payload of the next frame that comes in time; None when none does."""
+    def _take(self, wait_s: float) -> can.Message | None:
         try:
-            message = self.bus.recv(wait_s)
+            return self.bus.recv(wait_s)
         except can.CanError as error:
             raise OmnibotError(f"cannot receive from {self.bus.channel_info}: {error}") from error
+
+    def receive_frame(self, wait_s: float) -> tuple[int, bytes] | None:
+        """Return identifier and payload of the next frame that comes in time; None when none does."""
+        message = self._take(wait_s)
         if message is None:
             return None
         data = bytes(message.data)
@@ -179,7 +186,7 @@ class Link:
             self._record((self.time_s, arbitration_id, data))
 
     def _note_status(self, arbitration_id: int, data: bytes) -> None:
-        """Keep the newest STATUS, and the key of ARM, whatever we wait for."""
+        """Keep the newest STATUS, the key of ARM, and who is there, whatever we wait for."""
         if arbitration_id == self.codec["STATUS"].arbitration_id:
             # A peer of another protocol may send anything by this name; hello tells the user about it.
             with contextlib.suppress(WireError):
@@ -187,6 +194,8 @@ class Link:
         elif arbitration_id == self.codec["CHALLENGE"].arbitration_id:
             with contextlib.suppress(WireError):
                 self._key = int(self.codec["CHALLENGE"].named(data)["key"])
+        elif arbitration_id == self.codec["IDENTITY"].arbitration_id:
+            self._identities += 1
 
     def _silent(self, waiting_for: str) -> SilentError:
         sil = f"is the firmware running there? (omnibot-sil --can INTERFACE --node {self.codec.node})"
@@ -219,12 +228,14 @@ class Link:
 
         ``pace`` is ``lockstep`` or ``realtime``: what it is to step by. Its own motors, if it has any, are off then.
         """
+        self._listen_for_another_host()
         identity = self.greet()
         self.command("STOP")
         self._wait_for_rest()
         self.cleared_faults = self.faults()
         self.command("CLEAR")
         self._use(pace)
+        self._refuse_two_robots()
         self._dropped_before = int(self.status.get("dropped_frames", 0))
         return identity
 
@@ -240,6 +251,28 @@ class Link:
             )
         major, minor, patch = (int(identity[part]) for part in ("major", "minor", "patch"))
         return Identity(theirs, f"{major}.{minor}.{patch}")
+
+    def _listen_for_another_host(self) -> None:
+        """Before the first word, make sure that nobody drives this robot: our HELLO would end that drive."""
+        if getattr(self.bus, "is_ours_alone", False):
+            return
+        deadline = time.monotonic() + LISTEN_S
+        while (left := deadline - time.monotonic()) > 0.0:
+            message = self._take(left)
+            heard = self.codec.of_id(message.arbitration_id) if message is not None and message.is_rx else None
+            if heard is not None and heard.name in DRIVING_HOST:
+                raise OmnibotError(
+                    f"another host drives node {self.codec.node} on {self.bus.channel_info} (it sends {heard.name}): "
+                    "wait until it is done, or give this run a robot of its own with --node"
+                )
+
+    def _refuse_two_robots(self) -> None:
+        """By now every robot has answered HELLO; more answers than questions are those of two."""
+        if self._identities > self._hellos:
+            raise OmnibotError(
+                f"two robots are node {self.codec.node} on {self.bus.channel_info}: end one of them, an omnibot-sil "
+                "that was left running perhaps, or give each a --node of its own"
+            )
 
     def _wait_for_rest(self) -> None:
         """Wait until a robot that was still driving, for another host, has braked."""
@@ -261,8 +294,10 @@ class Link:
     def _identity(self) -> dict[str, float]:
         """Ask who is there until somebody answers: a firmware that was just started may not listen yet."""
         deadline = time.monotonic() + self.timeout_s
+        self._hellos = self._identities = 0
         while time.monotonic() < deadline:
             self.send("HELLO", self.codec.protocol_hash)
+            self._hellos += 1
             with contextlib.suppress(SilentError):
                 return self.wait_for("IDENTITY", self.repeat_s)
         raise self._silent("IDENTITY")

@@ -118,6 +118,7 @@ class EmulatedBoard(SerialBus):
     """
 
     cure = "is it an omnibot image of this node?"
+    is_ours_alone = True  # no other host can be on it
 
     def __init__(self, image: Path = IMAGE_FILE, **kwargs: Any) -> None:
         self.emulator = Emulator(image)

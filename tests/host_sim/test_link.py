@@ -524,6 +524,55 @@ def test_parameter_that_another_host_has_changed_is_noticed(bus: DisturbedBus, l
         mine.check_parameter(epsilon, 0.01)
 
 
+class SharedBus(DisturbedBus):
+    """A bus that others may be on: what they say is heard while somebody waits, before the robot's answers."""
+
+    is_ours_alone = False
+
+    def __init__(self, *others: can.Message) -> None:
+        super().__init__()
+        self.others = list(others)
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        if timeout and self.others:
+            return self.others.pop(0), False
+        return super()._recv_internal(timeout)
+
+
+def frame(name: str, is_rx: bool = True) -> can.Message:
+    return can.Message(
+        arbitration_id=CODEC[name].arbitration_id, is_extended_id=False, data=bytes(CODEC[name].length), is_rx=is_rx
+    )
+
+
+@pytest.mark.parametrize("name", ["SYNC", "POSE", "WHEEL_SPEED", "COMMAND", "TRAJECTORY_BEGIN", "TRAJECTORY_DATA"])
+def test_host_that_drives_the_robot_is_noticed_before_a_word_is_said(name: str) -> None:
+    with SharedBus(frame("STATUS"), frame(name)) as bus:
+        with pytest.raises(OmnibotError, match=f"another host drives node 3 .*it sends {name}.*--node"):
+            Link(bus, CODEC).hello()
+        assert bus.sent == []
+
+
+def test_other_nodes_robots_and_our_own_echo_are_no_other_host() -> None:
+    elsewhere = can.Message(arbitration_id=Codec(node=NODE + 1)["SYNC"].arbitration_id, is_extended_id=False)
+    others = [frame("TORQUE"), frame("STATUS"), frame("SYNC", is_rx=False), frame("PARAMETER_GET"), elsewhere]
+    with SharedBus(*others) as bus:
+        assert Link(bus, CODEC).hello().version == "0.1.0"
+        assert bus.others == []
+
+
+def test_second_robot_of_the_same_node_is_noticed(bus: DisturbedBus, link: Link) -> None:
+    bus.on_answer = lambda message: [message, message]
+    with pytest.raises(OmnibotError, match=f"two robots are node {NODE} on .*--node"):
+        link.hello()
+
+
+def test_robot_that_answers_late_is_not_taken_for_two(bus: DisturbedBus, link: Link) -> None:
+    bus.on_answer = only_once("IDENTITY", lambda _: [])
+    assert link.hello().version == "0.1.0"
+    assert bus.times_sent("HELLO") == 2
+
+
 def test_wheel_speeds_lose_nothing_to_rounding_over_time(tracking: Link) -> None:
     """0.3 of a step: rounded frame by frame it would be 0 for ever."""
     step = CODEC["WHEEL_SPEED"].fields[0].unit_per_step

@@ -96,6 +96,48 @@ def test_second_run_on_the_same_firmware_gives_the_same_trace(
     assert compare(Trace.load(tmp_path / "second"), inproc) == []
 
 
+def test_second_run_on_the_same_node_is_refused_and_the_first_goes_on(
+    tmp_path: Path, start_firmware: Start, inproc: Trace
+) -> None:
+    start_firmware()
+    answered = count_frames(80)
+    command = [ROOT / ".venv" / "bin" / "omnibot", "run", *CORNER, "--bus", "vcan0", "--pace", "0.3"]
+    first = subprocess.Popen([*command, "--out", tmp_path / "first"], stdout=subprocess.DEVNULL)
+    assert answered(1)
+    code, error = omnibot_run(tmp_path / "second", "--bus", "vcan0")
+    assert code == 1
+    assert "another host drives node 0" in error
+    assert "--node" in error
+    assert first.wait(timeout=60) == 0
+    assert compare(Trace.load(tmp_path / "first"), inproc) == []
+
+
+def test_two_firmwares_of_one_node_are_refused(tmp_path: Path, start_firmware: Start) -> None:
+    start_firmware()
+    start_firmware()
+    code, error = omnibot_run(tmp_path, "--bus", "vcan0")
+    assert code == 1
+    assert "two robots are node 0" in error
+
+
+def test_run_after_an_interrupted_one_is_as_good_as_new(tmp_path: Path, start_firmware: Start, inproc: Trace) -> None:
+    start_firmware()
+    answered = count_frames(80)
+    command = [ROOT / ".venv" / "bin" / "omnibot", "run", *CORNER, "--bus", "vcan0", "--pace", "0.3"]
+    first = subprocess.Popen(
+        [*command, "--out", tmp_path / "first"],
+        stdout=subprocess.DEVNULL,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),  # noqa: PLW1509
+    )
+    assert answered(200)
+    first.send_signal(signal.SIGINT)
+    assert first.wait(timeout=60) == 130
+    assert status(tmp_path / "first")["status"] == "interrupted"
+    assert 199 <= len(Trace.load(tmp_path / "first")) < 1201
+    assert omnibot_run(tmp_path / "second", "--bus", "vcan0") == (0, "")
+    assert compare(Trace.load(tmp_path / "second"), inproc) == []
+
+
 def test_two_nodes_on_one_bus_do_not_disturb_each_other(tmp_path: Path, start_firmware: Start, inproc: Trace) -> None:
     start_firmware(node=0)
     start_firmware(node=3)
