@@ -161,7 +161,7 @@ class Link:
             except can.CanError as error:
                 # A SocketCAN interface queues ten frames, and python-can does not wait for room.
                 if error.error_code != errno.ENOBUFS or patience.left_s() <= 0.0:
-                    raise OmnibotError(f"cannot send on {self.bus.channel_info}: {error}") from error
+                    raise self._failed("send on", error) from error
             time.sleep(ROOM_S)
         self._note(arbitration_id, data)
 
@@ -169,7 +169,16 @@ class Link:
         try:
             return self.bus.recv(wait_s)
         except can.CanError as error:
-            raise OmnibotError(f"cannot receive from {self.bus.channel_info}: {error}") from error
+            raise self._failed("receive from", error) from error
+
+    def _failed(self, verb: str, error: can.CanError) -> OmnibotError:
+        down = error.error_code == errno.ENETDOWN
+        cure = (
+            "; bring it up: sudo ip link set INTERFACE up (for a real one with: type can bitrate 1000000)"
+            if down
+            else ""
+        )
+        return OmnibotError(f"cannot {verb} {self.bus.channel_info}: {error}{cure}")
 
     def receive_frame(self, wait_s: float) -> tuple[int, bytes] | None:
         """Return identifier and payload of the next frame that comes in time; None when none does."""
@@ -247,7 +256,7 @@ class Link:
         if theirs != self.codec.protocol_hash:
             raise OmnibotError(
                 f"node {self.codec.node} speaks protocol {theirs:08X}, this host {self.codec.protocol_hash:08X}: "
-                "rebuild the firmware from this protocol/omnibot.dbc (cmake --build --preset host) and start it again"
+                "rebuild the firmware from this protocol/omnibot.dbc (tools/build host) and start it again"
             )
         major, minor, patch = (int(identity[part]) for part in ("major", "minor", "patch"))
         return Identity(theirs, f"{major}.{minor}.{patch}")
@@ -539,7 +548,10 @@ def open_bus(name: str, node: int, interface: str | None, channel: str | None, b
     except OmnibotError:
         raise
     except Exception as error:  # whatever the driver of some adapter raises
-        raise OmnibotError(f"cannot open the bus {options}: {error or type(error).__name__}") from error
+        cure = "is it plugged in, and up? omnibot doctor tells what is there"
+        if choice.interface is not None and choice.interface not in can.VALID_INTERFACES:
+            cure = f"-i takes one of {', '.join(sorted(can.VALID_INTERFACES))}"
+        raise OmnibotError(f"cannot open the bus {options}: {error or type(error).__name__}; {cure}") from error
 
 
 def _bus_of(choice: BusChoice, node: int) -> tuple[Callable[..., can.BusABC], dict[str, Any]]:

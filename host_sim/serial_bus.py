@@ -10,6 +10,7 @@ from typing import Any
 
 import can
 from can.interfaces.slcan import slcanBus
+from serial.tools import list_ports
 
 from host_sim.errors import OmnibotError
 
@@ -109,4 +110,7 @@ def open_serial(channel: str | int | None, bitrate: int | None, **options: Any) 
     except OmnibotError:
         raise
     except (can.CanError, OSError, TypeError, ValueError) as error:
-        raise OmnibotError(f"cannot open {channel}: {error}") from error
+        ports = ", ".join(port.device for port in list_ports.comports()) or "none"
+        raise OmnibotError(
+            f"cannot open {channel}: {error}; is the board plugged in? Serial ports here: {ports}"
+        ) from error
