@@ -237,7 +237,8 @@ class Link:
 
         ``pace`` is ``lockstep`` or ``realtime``: what it is to step by. Its own motors, if it has any, are off then.
         """
-        self._listen_for_another_host()
+        self._drain()
+        self._refuse_second_host()
         identity = self.greet()
         self.command("STOP")
         self._wait_for_rest()
@@ -261,19 +262,30 @@ class Link:
         major, minor, patch = (int(identity[part]) for part in ("major", "minor", "patch"))
         return Identity(theirs, f"{major}.{minor}.{patch}")
 
-    def _listen_for_another_host(self) -> None:
-        """Before the first word, make sure that nobody drives this robot: our HELLO would end that drive."""
-        if getattr(self.bus, "is_ours_alone", False):
+    def _refuse_second_host(self) -> None:
+        """Before the first word, make sure that nobody drives this robot: our HELLO would end that drive.
+
+        A host on this machine has claimed it, and may pause for as long as it likes; one elsewhere is heard.
+        """
+        claim: Callable[[int], bool] | None = getattr(self.bus, "claim", None)
+        if (claim is None or claim(self.codec.node)) and not self._hears_a_host():
             return
+        raise OmnibotError(
+            f"another host drives node {self.codec.node} on {self.bus.channel_info}: wait until it is done, or give "
+            "this run a robot of its own with --node"
+        )
+
+    def _hears_a_host(self) -> bool:
+        """Listen for frames that drive our robot, for as long as its host can be silent without losing it."""
+        if getattr(self.bus, "is_ours_alone", False):
+            return False
         deadline = time.monotonic() + LISTEN_S
         while (left := deadline - time.monotonic()) > 0.0:
             message = self._take(left)
             heard = self.codec.of_id(message.arbitration_id) if message is not None and message.is_rx else None
             if heard is not None and heard.name in DRIVING_HOST:
-                raise OmnibotError(
-                    f"another host drives node {self.codec.node} on {self.bus.channel_info} (it sends {heard.name}): "
-                    "wait until it is done, or give this run a robot of its own with --node"
-                )
+                return True
+        return False
 
     def _refuse_two_robots(self) -> None:
         """By now every robot has answered HELLO; more answers than questions are those of two."""
@@ -559,6 +571,9 @@ def _bus_of(choice: BusChoice, node: int) -> tuple[Callable[..., can.BusABC], di
     if choice.interface is not None:
         named = {"interface": choice.interface, "channel": choice.channel, "bitrate": choice.bitrate}
         options = {key: value for key, value in named.items() if value is not None} | dict(choice.others)
+        if choice.interface == "socketcan" and choice.channel is not None:
+            del options["interface"]
+            return PromptSocketcanBus, options
         return can.Bus, options | ({"node": node} if choice.interface == "omnibot" else {})
     if choice.name == "inproc":
         return InprocBus, {"node": node}

@@ -548,7 +548,7 @@ def frame(name: str, is_rx: bool = True) -> can.Message:
 @pytest.mark.parametrize("name", ["SYNC", "POSE", "WHEEL_SPEED", "COMMAND", "TRAJECTORY_BEGIN", "TRAJECTORY_DATA"])
 def test_host_that_drives_the_robot_is_noticed_before_a_word_is_said(name: str) -> None:
     with SharedBus(frame("STATUS"), frame(name)) as bus:
-        with pytest.raises(OmnibotError, match=f"another host drives node 3 .*it sends {name}.*--node"):
+        with pytest.raises(OmnibotError, match=r"another host drives node 3 .*--node"):
             Link(bus, CODEC).hello()
         assert bus.sent == []
 
