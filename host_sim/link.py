@@ -173,12 +173,8 @@ class Link:
 
     def _failed(self, verb: str, error: can.CanError) -> OmnibotError:
         down = error.error_code == errno.ENETDOWN
-        cure = (
-            "; bring it up: sudo ip link set INTERFACE up (for a real one with: type can bitrate 1000000)"
-            if down
-            else ""
-        )
-        return OmnibotError(f"cannot {verb} {self.bus.channel_info}: {error}{cure}")
+        cure = "; bring it up: sudo ip link set INTERFACE up, and a real one with: type can bitrate 1000000"
+        return OmnibotError(f"cannot {verb} {self.bus.channel_info}: {error}{cure if down else ''}")
 
     def receive_frame(self, wait_s: float) -> tuple[int, bytes] | None:
         """Return identifier and payload of the next frame that comes in time; None when none does."""
@@ -560,10 +556,10 @@ def open_bus(name: str, node: int, interface: str | None, channel: str | None, b
     except OmnibotError:
         raise
     except Exception as error:  # whatever the driver of some adapter raises
-        cure = "is it plugged in, and up? omnibot doctor tells what is there"
-        if choice.interface is not None and choice.interface not in can.VALID_INTERFACES:
-            cure = f"-i takes one of {', '.join(sorted(can.VALID_INTERFACES))}"
-        raise OmnibotError(f"cannot open the bus {options}: {error or type(error).__name__}; {cure}") from error
+        raise OmnibotError(
+            f"cannot open the bus {options}: {error or type(error).__name__}; is it plugged in, and up? "
+            "omnibot doctor tells what is there"
+        ) from error
 
 
 def _bus_of(choice: BusChoice, node: int) -> tuple[Callable[..., can.BusABC], dict[str, Any]]:

@@ -600,6 +600,16 @@ def test_bus_that_fails_to_send_is_an_error_that_names_it(bus: DisturbedBus, mon
         Link(bus, CODEC).send("PARAMETER_GET", 0, 0, 0)
 
 
+@pytest.mark.parametrize("does", ["send", "recv"])
+def test_interface_that_is_down_is_brought_up(bus: DisturbedBus, monkeypatch: pytest.MonkeyPatch, does: str) -> None:
+    def down(*_: object, **__: object) -> None:
+        raise can.CanOperationError("Network is down", errno.ENETDOWN)
+
+    monkeypatch.setattr(bus, does, down)
+    with pytest.raises(OmnibotError, match=r"Network is down.*; bring it up: sudo ip link set INTERFACE up"):
+        Link(bus, CODEC, timeout_s=0.1).hello()
+
+
 FULL = can.CanOperationError("Failed to transmit: No buffer space available", errno.ENOBUFS)
 
 

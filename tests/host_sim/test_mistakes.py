@@ -49,8 +49,8 @@ def told(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> 
     ("mistake", "what", "helps"),
     [
         # 1: wrong interface
-        (["--bus", "lo"], "no bus 'lo'", "'inproc', 'pil', or a SocketCAN interface"),
-        (["-i", "sockcan", "-c", "vcan0"], 'Unknown interface type "sockcan"', "-i takes one of"),
+        (["--bus", "lo"], "no bus 'lo'", "or a SocketCAN interface that is up"),
+        (["-i", "sockcan", "-c", "vcan0"], 'Unknown interface type "sockcan"', "there are: canalystii, "),
         # 2: no vcan
         (["--bus", NO_INTERFACE], f"no bus '{NO_INTERFACE}'", "tools/with-vcan -- COMMAND makes a vcan0"),
         (["-i", "socketcan", "-c", NO_INTERFACE], NO_INTERFACE, "omnibot doctor tells what is there"),
@@ -93,6 +93,12 @@ def test_firmware_that_is_not_built_names_the_command_that_builds_it(tmp_path: P
     assert f"{tmp_path}/build/host/libomnibot.so" in line
     assert "tools/build host makes it" in line
     assert not (tmp_path / "runs").exists()
+
+
+def test_python_package_that_is_missing_names_the_command_that_brings_it() -> None:
+    program = "import sys; sys.modules['numba'] = None; from host_sim.cli import main; main()"
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120, check=False)
+    assert "no Python package numba: tools/setup run" in only_line(ended.returncode, ended.stdout, ended.stderr)
 
 
 # ---- 5: old DBC
