@@ -19,6 +19,11 @@ SHARED_PARAMETERS = ("order", "epsilon", "output", "traction", "delta_m_per_s", 
 PACES = ("lockstep", "realtime")
 
 
+def plant_numbers() -> list[str]:
+    """Return the names of the robot's numbers that a plant may have otherwise than its firmware believes."""
+    return sorted({item.name for item in fields(Robot) if item.type in (float, "float")} - {"control_period_s"})
+
+
 @dataclass(frozen=True)
 class Scenario:
     """What is run: everything that the result depends on."""
@@ -49,10 +54,10 @@ class Scenario:
 
     def plant_robot(self, robot: Robot) -> Robot:
         """Return the robot as it is, where that differs from what the firmware believes."""
-        numbers = {item.name for item in fields(Robot) if item.type in (float, "float")} - {"control_period_s"}
+        numbers = plant_numbers()
         for name, value in self.plant.items():
             if name not in numbers:
-                raise OmnibotError(f"the plant has no {name!r}; there are: {', '.join(sorted(numbers))}")
+                raise OmnibotError(f"the plant has no {name!r}; there are: {', '.join(numbers)}")
             if not 0.0 < value < math.inf:
                 raise OmnibotError(f"{name} = {value:g} of the plant must be above 0")
         return replace(robot, **dict(self.plant))  # type: ignore[arg-type]  # the names were checked

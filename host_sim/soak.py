@@ -57,6 +57,10 @@ class SoakResult:
     peak_growth_KiB: int = 0  # noqa: N815
     block_growth: int = 0
 
+    def progress(self, duration_s: float, wall_s: float) -> float:
+        """Return how much is done of what was asked for: 1 or more at the end."""
+        return max(self.simulated_s / duration_s, self.wall_s / wall_s)
+
     def as_dict(self) -> dict[str, Any]:
         """Return it as plain values."""
         return asdict(self) | {"ends": dict(self.ends.most_common())}
@@ -83,27 +87,27 @@ def _random_fault(chance: random.Random, ticks: int) -> Fault:
     return Fault(kind, first_tick=first_tick, ticks=chance.choice((1, 5, 50, 500)), rate=chance.choice((0.3, 0.8, 1.0)))
 
 
-def soak(duration_s: float, wall_s: float, seed: int = 0) -> SoakResult:
+def soak(duration_s: float, wall_s: float, result: SoakResult) -> None:
     """Drive with random faults for so long in simulated time, but no longer than ``wall_s`` by the clock.
+
+    ``result`` brings the seed, and holds at any time what was found until then.
 
     One firmware is driven by the host's ticks and one by its own timer, in turn. After each drive with faults it is
     started again and must follow its path as if nothing had been.
     """
-    chance, result, begin_s = random.Random(seed), SoakResult(seed), time.monotonic()
+    chance, begin_s = random.Random(result.seed), time.monotonic()
     settled: Memory | None = None
     with Session(PACES[0]) as first, Session(PACES[1]) as second:
-        while result.simulated_s < duration_s and result.wall_s < wall_s:
+        while result.progress(duration_s, wall_s) < 1.0:
             _one_drive(chance.choice((first, second)), chance, result)
             result.wall_s = time.monotonic() - begin_s
-            progress = max(result.simulated_s / duration_s, result.wall_s / wall_s)
-            if settled is None and progress >= WARM_UP_FRACTION:
+            if settled is None and result.progress(duration_s, wall_s) >= WARM_UP_FRACTION:
                 settled = Memory.now()
     if settled is not None:
         now = Memory.now()
         result.peak_KiB_after_warm_up = settled.peak_KiB
         result.peak_growth_KiB = now.peak_KiB - settled.peak_KiB
         result.block_growth = now.blocks - settled.blocks
-    return result
 
 
 def _one_drive(session: Session, chance: random.Random, result: SoakResult) -> None:

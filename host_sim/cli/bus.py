@@ -7,6 +7,7 @@ from typing import Annotated
 import can
 import typer
 
+from host_sim.cli import completion
 from host_sim.codec import Codec
 from host_sim.errors import OmnibotError
 from host_sim.link import FrameRecord, Link
@@ -17,15 +18,24 @@ BusOption = Annotated[
     typer.Option(
         envvar="OMNIBOT_BUS",
         help="inproc, pil (the board's image, emulated), a SocketCAN interface, or can (python-can's configuration)",
+        autocompletion=completion.bus,
     ),
 ]
-InterfaceOption = Annotated[str | None, typer.Option("-i", "--interface", help="python-can interface, over --bus")]
+InterfaceOption = Annotated[
+    str | None,
+    typer.Option("-i", "--interface", help="python-can interface, over --bus", autocompletion=completion.interface),
+]
 ChannelOption = Annotated[
     str | None,
-    typer.Option("-c", "--channel", help="python-can channel; with --bus pil the image, if not build/board's"),
+    typer.Option(
+        "-c",
+        "--channel",
+        help="python-can channel; with --bus pil the image, if not build/board's",
+        autocompletion=completion.channel,
+    ),
 ]
 BitrateOption = Annotated[int | None, typer.Option("-b", "--bitrate", help="bit/s, where the interface wants it")]
-NodeOption = Annotated[int, typer.Option(help="the robot's node on the bus, 0 to 15")]
+NodeOption = Annotated[int, typer.Option(help="the robot's node on the bus, 0 to 15", autocompletion=completion.node)]
 TimeoutOption = Annotated[float, typer.Option(help="wall-clock seconds the firmware may be silent")]
 DbcOption = Annotated[Path, typer.Option(help="wire definition to speak")]
 

@@ -1,5 +1,6 @@
 """Verbs that plan, drive and compare paths."""
 
+import contextlib
 import json
 import math
 import sys
@@ -9,7 +10,16 @@ from typing import Annotated, Any
 import typer
 
 from host_sim.bus_choice import choose_bus
-from host_sim.cli.app import RunFailedError, app, command_line, new_folder, parse_numbers, parse_settings
+from host_sim.cli import completion
+from host_sim.cli.app import (
+    RunFailedError,
+    app,
+    command_line,
+    new_folder,
+    parse_numbers,
+    parse_settings,
+    refuse_uncompleted,
+)
 from host_sim.cli.bus import (
     BitrateOption,
     BusOption,
@@ -21,21 +31,23 @@ from host_sim.cli.bus import (
     check_timeout,
     link_on,
 )
+from host_sim.cli.progress import watched
 from host_sim.codec import DBC_FILE, Codec
 from host_sim.errors import OmnibotError
 from host_sim.limits import LIMIT_NAMES, Limits
-from host_sim.link import open_bus
+from host_sim.link import Link, open_bus
 from host_sim.parameter_file import read_values
-from host_sim.planner import PathRequest, default_speed, plan
+from host_sim.planner import CORNERS, PROFILES, PathRequest, default_speed, plan
 from host_sim.preview import Preview
 from host_sim.report import PAGE_NAME
 from host_sim.report.compare import load_runs, write_comparison
 from host_sim.report.plan import write_plan
 from host_sim.robot import load_robot
 from host_sim.run import LOG_FILE, BusLog, execute, run_folder
-from host_sim.scenario import SHARED_PARAMETERS, Scenario
+from host_sim.scenario import PACES, SHARED_PARAMETERS, Scenario
 from host_sim.sensors import Sensors
 from host_sim.trace import compare
+from host_sim.trajectory import Trajectory
 
 WITHOUT_CLOCK = {
     "inproc": "the firmware in-process has no timer of its own",
@@ -44,23 +56,43 @@ WITHOUT_CLOCK = {
 
 EpsilonOption = Annotated[float, typer.Option(help="inverse stiffness of the floor, 1/N, above 0 and at most 1")]
 OrderOption = Annotated[
-    str, typer.Option(help="how the firmware predicts slip: order 0, 1, 2 or 3 of the manifold, exact, or observer")
+    str,
+    typer.Option(
+        help="how the firmware predicts slip: order 0, 1, 2 or 3 of the manifold, exact, or observer",
+        autocompletion=completion.choice_of("order"),
+    ),
 ]
-OutputOption = Annotated[str, typer.Option(help="what follows the path: posture (point and heading) or point")]
-TractionOption = Annotated[str, typer.Option(help="linear or magic")]
+OutputOption = Annotated[
+    str,
+    typer.Option(
+        help="what follows the path: posture (point and heading) or point",
+        autocompletion=completion.choice_of("output"),
+    ),
+]
+TractionOption = Annotated[str, typer.Option(help="linear or magic", autocompletion=completion.choice_of("traction"))]
 SettingOption = Annotated[
-    list[str] | None, typer.Option("--set", help="NAME=VALUE of a firmware parameter; may be repeated")
+    list[str] | None,
+    typer.Option(
+        "--set", help="NAME=VALUE of a firmware parameter; may be repeated", autocompletion=completion.setting
+    ),
 ]
 PlantOption = Annotated[
-    list[str] | None, typer.Option(help="NAME=NUMBER of the robot that the firmware does not know of, mass_kg=2.3")
+    list[str] | None,
+    typer.Option(
+        help="NAME=NUMBER of the robot that the firmware does not know of, mass_kg=2.3", autocompletion=completion.plant
+    ),
 ]
 PathOption = Annotated[
-    str, typer.Option(help="rhombus, line, circle, lemniscate, square, or waypoints: FILE.csv, FILE.toml")
+    str,
+    typer.Option(
+        help="rhombus, line, circle, lemniscate, square, or waypoints: FILE.csv, FILE.toml",
+        autocompletion=completion.path,
+    ),
 ]
 SpeedOption = Annotated[
     float | None, typer.Option(help="speed along the path, or its limit, m/s (default: 0.5, or the file's)")
 ]
-CornerOption = Annotated[str, typer.Option(help="sharp or rounded")]
+CornerOption = Annotated[str, typer.Option(help="sharp or rounded", autocompletion=completion.one_of(*CORNERS))]
 CornerAccelOption = Annotated[float, typer.Option(help="peak acceleration of corners and ramps, m/s^2")]
 DurationOption = Annotated[float | None, typer.Option(help="time to the end, s (default: one lap)")]
 StartBeforeCornerOption = Annotated[
@@ -68,10 +100,14 @@ StartBeforeCornerOption = Annotated[
 ]
 ProfileOption = Annotated[
     str | None,
-    typer.Option(help="steady speed, or fastest within the limits (default: steady, but for square and waypoints)"),
+    typer.Option(
+        help="steady speed, or fastest within the limits (default: steady, but for square and waypoints)",
+        autocompletion=completion.one_of(*PROFILES),
+    ),
 ]
 LimitOption = Annotated[
-    list[str] | None, typer.Option(help=f"NAME=NUMBER of {', '.join(LIMIT_NAMES)}; may be repeated")
+    list[str] | None,
+    typer.Option(help=f"NAME=NUMBER of {', '.join(LIMIT_NAMES)}; may be repeated", autocompletion=completion.limit),
 ]
 CornerCutOption = Annotated[float, typer.Option(help="how far a fastest drive stays off a rounded corner's vertex, m")]
 
@@ -176,7 +212,11 @@ def run(
     delta_m_per_s: Annotated[float, typer.Option(help="delta of the slip ratio, m/s")] = 1e-3,
     speed_length_m: Annotated[float, typer.Option(help="length that turns yaw rate into speed in (14), m")] = 1.0,
     time: Annotated[
-        str, typer.Option(help="lockstep: neither side waits for the clock; realtime: both keep the control period")
+        str,
+        typer.Option(
+            help="lockstep: neither side waits for the clock; realtime: both keep the control period",
+            autocompletion=completion.one_of(*PACES),
+        ),
     ] = "lockstep",
     pace: Annotated[float, typer.Option(help="lockstep: never faster than so many times real time")] = math.inf,
     timeout: TimeoutOption = 2.0,
@@ -227,14 +267,21 @@ def run(
         log = BusLog(folder / LOG_FILE, channel="vcan0")
         try:
             link = link_on(opened, codec, timeout, log.record)
-            result = execute(scenario, robot, trajectory, link, log, folder, bus_name, command_line(), pace)
+            with _progress(link, trajectory, time):
+                result = execute(scenario, robot, trajectory, link, log, folder, bus_name, command_line(), pace)
         finally:
             log.close()
     for line in notes(result, _typed(context) | set(settings)):
         print(f"omnibot: {line}", file=sys.stderr)  # noqa: T201
     print(json.dumps(result, indent=2) if as_json else summary(result, folder))  # noqa: T201
-    if result["status"] != "completed":
-        raise RunFailedError(result["reason"])
+    refuse_uncompleted(result, folder)
+
+
+def _progress(link: Link, trajectory: Trajectory, time: str) -> contextlib.AbstractContextManager[None]:
+    """Show how far a drive is; not by the clock, where the drawing would make ticks late."""
+    if time == "realtime":
+        return contextlib.nullcontext()
+    return watched("drive", trajectory.duration_us * 1e-6, lambda: link.time_s)
 
 
 @app.command("plan")
@@ -272,6 +319,7 @@ def preview(
 def compare_runs(
     folders: Annotated[list[Path], typer.Argument(metavar="RUN RUN …", help="folders of two or more runs")],
     out: Annotated[Path | None, typer.Option(help="folder of the page (default: a new one below runs/)")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="print the differences as JSON")] = False,
 ) -> None:
     """Put runs side by side on a page, and say whether their traces are the same, byte for byte, and where not.
 
@@ -283,13 +331,17 @@ def compare_runs(
     differences = {run.name: compare(first.trace, run.trace) for run in others}
     folder = out or new_folder("compare")
     page = write_comparison(folder, runs, differences, load_robot(), command_line())
-    print(f"report: {page}")  # noqa: T201
     different = [(name, lines) for name, lines in differences.items() if lines]
-    for name, lines in different:
-        for line in lines:
-            print(line if len(others) == 1 else f"{name}: {line}")  # noqa: T201
+    if as_json:
+        print(json.dumps({"identical": not different, "differences": differences, "report": str(page)}, indent=2))  # noqa: T201
+    else:
+        print(f"report: {page}")  # noqa: T201
+        for name, lines in different:
+            for line in lines:
+                print(line if len(others) == 1 else f"{name}: {line}")  # noqa: T201
     if different:
         what = "; ".join(f"{first.name} and {name} differ in {len(lines)} arrays" for name, lines in different)
-        raise OmnibotError(what)
-    same = " and ".join(map(str, folders))
-    print(f"identical: {same} agree in every array, all {len(first.trace)} ticks, byte for byte")  # noqa: T201
+        raise RunFailedError(what)
+    if not as_json:
+        same = " and ".join(map(str, folders))
+        print(f"identical: {same} agree in every array, all {len(first.trace)} ticks, byte for byte")  # noqa: T201

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from host_sim.canlog import SUFFIXES, Recording, record, whole_file, write_log
+from host_sim.cli import completion
 from host_sim.cli.app import RunFailedError, app
 from host_sim.codec import DBC_FILE
 from host_sim.errors import OmnibotError
@@ -27,8 +28,13 @@ WITHOUT_LISTENERS = ("inproc", "pil")
 log = typer.Typer(no_args_is_help=True, help="Record what is on a bus, and give a log in other formats.")
 app.add_typer(log, name="log")
 
-Interface = Annotated[str | None, typer.Option("-i", "--interface", help="python-can interface, over --bus")]
-Channel = Annotated[str | None, typer.Option("-c", "--channel", help="python-can channel")]
+Interface = Annotated[
+    str | None,
+    typer.Option("-i", "--interface", help="python-can interface, over --bus", autocompletion=completion.interface),
+]
+Channel = Annotated[
+    str | None, typer.Option("-c", "--channel", help="python-can channel", autocompletion=completion.channel)
+]
 Bitrate = Annotated[int | None, typer.Option("-b", "--bitrate", help="bit/s, where the interface wants it")]
 Node = Annotated[int | None, typer.Option(min=0, max=15, help="the robot's node (default: the only one in the log)")]
 Dbc = Annotated[Path, typer.Option(help="wire definition to read it by")]
@@ -38,7 +44,7 @@ AsJson = Annotated[bool, typer.Option("--json", help="print the result as JSON")
 @log.command("record")
 def record_log(
     file: Annotated[Path, typer.Argument(help="a new file; its suffix tells the format: .log, .asc or .blf")],
-    bus: Annotated[str, typer.Option(help="a SocketCAN interface")] = "vcan0",
+    bus: Annotated[str, typer.Option(help="a SocketCAN interface", autocompletion=completion.bus)] = "vcan0",
     interface: Interface = None,
     channel: Channel = None,
     bitrate: Bitrate = None,
@@ -84,7 +90,9 @@ def export_log(
 @app.command("replay")
 def replay_log(
     source: Annotated[Path, typer.Argument(help="a bus log of a lockstep session, or the folder of a run")],
-    bus: Annotated[str, typer.Option(help="inproc, pil, or a SocketCAN interface")] = "inproc",
+    bus: Annotated[
+        str, typer.Option(help="inproc, pil, or a SocketCAN interface", autocompletion=completion.bus)
+    ] = "inproc",
     interface: Interface = None,
     channel: Channel = None,
     bitrate: Bitrate = None,

@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from host_sim.cli import completion
 from host_sim.cli.app import RunFailedError, app
 from host_sim.codec import DBC_FILE
 from host_sim.errors import OmnibotError
@@ -18,9 +19,14 @@ def monitor(
     port: Annotated[
         int | None, typer.Argument(min=0, max=65535, help=f"of --serve (default: {DEFAULT_PORT}; 0: any that is free)")
     ] = None,
-    bus: Annotated[str, typer.Option(help="SocketCAN interface to listen to")] = "vcan0",
-    interface: Annotated[str | None, typer.Option("-i", "--interface", help="python-can interface, over --bus")] = None,
-    channel: Annotated[str | None, typer.Option("-c", "--channel", help="python-can channel")] = None,
+    bus: Annotated[str, typer.Option(help="SocketCAN interface to listen to", autocompletion=completion.bus)] = "vcan0",
+    interface: Annotated[
+        str | None,
+        typer.Option("-i", "--interface", help="python-can interface, over --bus", autocompletion=completion.interface),
+    ] = None,
+    channel: Annotated[
+        str | None, typer.Option("-c", "--channel", help="python-can channel", autocompletion=completion.channel)
+    ] = None,
     bitrate: Annotated[
         int | None, typer.Option("-b", "--bitrate", min=10_000, help="bit/s of the bus (default: 1000000)")
     ] = None,

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from host_sim.bus_choice import BusChoice, choose_bus
+from host_sim.cli import completion
 from host_sim.cli.app import app, parse_settings
 from host_sim.cli.bus import (
     BitrateOption,
@@ -133,7 +134,9 @@ def list_all(
 
 @param.command()
 def get(
-    names: Annotated[list[str], typer.Argument(help="names of parameters", metavar="NAME…")],
+    names: Annotated[
+        list[str], typer.Argument(help="names of parameters", metavar="NAME…", autocompletion=completion.parameter)
+    ],
     bus: BusOption = "inproc",
     interface: InterfaceOption = None,
     channel: ChannelOption = None,
@@ -156,7 +159,9 @@ def get(
 
 @param.command("set")
 def set_values(
-    settings: Annotated[list[str] | None, typer.Argument(help="NAME=VALUE …", metavar="NAME=VALUE…")] = None,
+    settings: Annotated[
+        list[str] | None, typer.Argument(help="NAME=VALUE …", metavar="NAME=VALUE…", autocompletion=completion.setting)
+    ] = None,
     file: Annotated[Path | None, typer.Option(help="values from a .toml or .json file; those beside it win")] = None,
     bus: BusOption = "inproc",
     interface: InterfaceOption = None,
@@ -197,7 +202,9 @@ def save(
 
 @param.command()
 def reset(
-    names: Annotated[list[str] | None, typer.Argument(help="names of parameters (default: all)")] = None,
+    names: Annotated[
+        list[str] | None, typer.Argument(help="names of parameters (default: all)", autocompletion=completion.parameter)
+    ] = None,
     bus: BusOption = "inproc",
     interface: InterfaceOption = None,
     channel: ChannelOption = None,

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from host_sim.bus_choice import choose_bus
-from host_sim.cli.app import RunFailedError, app, command_line, new_folder, parse_numbers, parse_settings
+from host_sim.cli.app import app, command_line, new_folder, parse_numbers, parse_settings, refuse_uncompleted
 from host_sim.cli.bus import (
     BitrateOption,
     BusOption,
@@ -99,5 +99,4 @@ def step(
         run.result["scenario"] |= {"bus": label, "command": command_line()}
         page = write_step(folder, run, command_line())
     print(json.dumps(run.result, indent=2) if as_json else f"{_table(run.result)}\nreport: {page}")  # noqa: T201
-    if run.result["status"] != "completed":
-        raise RunFailedError(run.result["reason"])
+    refuse_uncompleted(run.result, folder)

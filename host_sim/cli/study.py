@@ -1,5 +1,6 @@
 """Verbs that study the law, the bus and the simulator: many runs, or none."""
 
+import contextlib
 import json
 import math
 import subprocess
@@ -8,21 +9,22 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
-from rich.progress import track
 
-from host_sim.bench import bench
+from host_sim.bench import PARTS, bench
 from host_sim.bench import choose as choose_parts
 from host_sim.bench import table as bench_table
 from host_sim.busload import bus_load, load_table
-from host_sim.cli.app import RUNS, RunFailedError, app, command_line, new_folder
+from host_sim.cli import completion
+from host_sim.cli.app import RUNS, CutShortError, RunFailedError, app, command_line, new_folder
+from host_sim.cli.progress import refuse_cut_short, until_ctrl_c, watched
 from host_sim.codec import DBC_FILE, load_messages
 from host_sim.errors import OmnibotError
 from host_sim.inject import FAULT_ROWS, fault_cases, is_explained, restart_cases, run_cases
 from host_sim.paper import choose, write_paper
+from host_sim.paper.write import ITEMS
 from host_sim.report import PAGE_NAME
 from host_sim.robot import ROOT, load_robot
-from host_sim.soak import soak
+from host_sim.soak import SoakResult, soak
 from host_sim.sweep import SWEEPS, run_sweep, table
 from host_sim.trace import write_atomically
 
@@ -32,7 +34,11 @@ COST_TOOL = ROOT / "tools" / "step_cost"
 @app.command()
 def paper(
     only: Annotated[
-        str | None, typer.Option(help="comma-separated: fig2, fig3a, fig3b, fig4, fig5, table1 (default: all)")
+        str | None,
+        typer.Option(
+            help="comma-separated: fig2, fig3a, fig3b, fig4, fig5, table1 (default: all)",
+            autocompletion=completion.some_of(*ITEMS),
+        ),
     ] = None,
     out: Annotated[Path | None, typer.Option(help="folder of the results (default: a new one below runs/)")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="print paper.json instead of the page's place")] = False,
@@ -40,13 +46,24 @@ def paper(
     """Draw every figure and table of the paper beside ours, and write them as report.html and paper.json."""
     names, robot = choose(only), load_robot()
     folder = out or new_folder("paper")
-    numbers = write_paper(names, robot, folder, command_line(), lambda line: typer.echo(line, err=True))
+    said: list[str] = []
+
+    def say(line: str) -> None:
+        said.append(line)
+        typer.echo(line, err=True)
+
+    with watched("paper", len(names), lambda: len(said)):
+        numbers = write_paper(names, robot, folder, command_line(), say)
     print(json.dumps(numbers, indent=2) if as_json else f"page: {folder / PAGE_NAME}")  # noqa: T201
+    if "missing" in numbers:
+        raise CutShortError(f"interrupted: {folder / PAGE_NAME} is without {', '.join(numbers['missing'])}")
 
 
 @app.command()
 def sweep(
-    name: Annotated[str, typer.Argument(help="stability, robustness or odometry")],
+    name: Annotated[
+        str, typer.Argument(help="stability, robustness or odometry", autocompletion=completion.one_of(*SWEEPS))
+    ],
     out: Annotated[Path | None, typer.Option(help="folder for the table (default: runs/sweep-NAME)")] = None,
     jobs: Annotated[int | None, typer.Option(min=1, help="processes (default: one a core)")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="print the rows as JSON instead of the table")] = False,
@@ -56,12 +73,13 @@ def sweep(
         raise OmnibotError(f"no sweep {name!r}; there are: {', '.join(SWEEPS)}")
     folder = out or RUNS / f"sweep-{name}"
     total = sum(1 for _ in SWEEPS[name]())
-    rows = list(track(run_sweep(name, jobs), total=total, console=Console(stderr=True), description=name))
+    rows = list(until_ctrl_c(run_sweep(name, jobs), total, name))
     write_atomically(folder / "sweep.json", (json.dumps(rows, indent=2) + "\n").encode())
     write_atomically(folder / "sweep.md", table(rows).encode())
     print(json.dumps(rows, indent=2) if as_json else table(rows))  # noqa: T201
     lost = sum(row["status"] != "completed" for row in rows)
     print(f"{len(rows)} runs, {lost} not completed; table: {folder / 'sweep.md'}", file=sys.stderr)  # noqa: T201
+    refuse_cut_short(len(rows), total, str(folder / "sweep.md"))
 
 
 @app.command()
@@ -77,14 +95,15 @@ def inject(
     """Drive in-process over a bus that loses, delays, repeats, swaps, damages and floods; table what the robot does."""
     folder = out or RUNS / "inject"
     cases, total = (restart_cases(restarts, seed), restarts) if restarts else (fault_cases(seed), len(FAULT_ROWS))
-    rows = list(track(run_cases(cases, jobs), total=total, console=Console(stderr=True), description="inject"))
+    rows = list(until_ctrl_c(run_cases(cases, jobs), total, "inject"))
     write_atomically(folder / "inject.json", (json.dumps(rows, indent=2) + "\n").encode())
     write_atomically(folder / "inject.md", table(rows).encode())
     print(json.dumps(rows, indent=2) if as_json else table(rows))  # noqa: T201
     wrong = [row for row in rows if not is_explained(row)]
     print(f"{len(rows)} drives, {len(wrong)} against a rule; table: {folder / 'inject.md'}", file=sys.stderr)  # noqa: T201
+    refuse_cut_short(len(rows), total, str(folder / "inject.md"))
     if wrong:
-        raise OmnibotError(
+        raise RunFailedError(
             f"{wrong[0]['scenario']} ({wrong[0]['time']}): {wrong[0]['end']}, or torque or restart wrong"
         )
 
@@ -97,7 +116,9 @@ def soak_command(
     as_json: Annotated[bool, typer.Option("--json", help="print the result as JSON")] = False,
 ) -> None:
     """Drive for long in-process with random faults; every end must have a reason, and memory must stay."""
-    result = soak(duration, wall, seed)
+    result = SoakResult(seed)
+    with watched("soak", 1.0, lambda: result.progress(duration, wall)), contextlib.suppress(KeyboardInterrupt):
+        soak(duration, wall, result)
     ends = "".join(f"\n  {count:6d}  {end}" for end, count in result.ends.most_common())
     text = (
         f"{result.simulated_s:.0f} s simulated in {result.wall_s:.0f} s: {result.drives} drives, {result.frames_hit} "
@@ -106,8 +127,10 @@ def soak_command(
         f"{result.block_growth}{ends}"
     )
     print(json.dumps(result.as_dict(), indent=2) if as_json else text)  # noqa: T201
+    if result.progress(duration, wall) < 1.0:
+        raise CutShortError(f"interrupted after {result.simulated_s:.0f} s of simulated time")
     if result.problems:
-        raise OmnibotError(f"{len(result.problems)} drives against a rule; the first: {result.problems[0]}")
+        raise RunFailedError(f"{len(result.problems)} drives against a rule; the first: {result.problems[0]}")
 
 
 @app.command(add_help_option=False, context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
@@ -119,7 +142,12 @@ def cost(context: typer.Context) -> None:
 
 @app.command("bench")
 def run_bench(
-    only: Annotated[str | None, typer.Option(help="comma-separated: plant, loop, vcan (default: all)")] = None,
+    only: Annotated[
+        str | None,
+        typer.Option(
+            help="comma-separated: plant, loop, vcan (default: all)", autocompletion=completion.some_of(*PARTS)
+        ),
+    ] = None,
     bus: Annotated[str, typer.Option(help="SocketCAN interface of the vcan part")] = "vcan0",
     as_json: Annotated[bool, typer.Option("--json", help="print JSON instead of the table")] = False,
 ) -> None:

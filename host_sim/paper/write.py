@@ -1,5 +1,6 @@
 """Which items there are, and how they are computed and written."""
 
+import contextlib
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -48,6 +49,8 @@ def write_paper(
 ) -> dict[str, Any]:
     """Compute items and write ``report.html`` and ``paper.json``; returns what the latter holds.
 
+    Ctrl-C ends it with the items that were done by then; ``missing`` names the others.
+
     Parameters
     ----------
     names
@@ -64,11 +67,16 @@ def write_paper(
     simulator = Simulator(robot)
     sections: dict[str, Section] = {}
     with run_folder(folder):
-        for count, name in enumerate(names, start=1):
-            section = ITEMS[name](simulator)
-            sections[name] = section
-            progress(f"{count}/{len(names)} {name}: paper {section.paper}; ours {section.ours}")
-        numbers = {key: value for section in sections.values() for key, value in section.numbers.items()}
+        with contextlib.suppress(KeyboardInterrupt):
+            for count, name in enumerate(names, start=1):
+                section = ITEMS[name](simulator)
+                sections[name] = section
+                progress(f"{count}/{len(names)} {name}: paper {section.paper}; ours {section.ours}")
+        numbers: dict[str, Any] = {
+            key: value for section in sections.values() for key, value in section.numbers.items()
+        }
+        missing = [name for name in names if name not in sections]
+        numbers |= {"missing": missing} if missing else {}
         text = json.dumps(numbers, indent=2, allow_nan=False) + "\n"
         write_atomically(folder / JSON_NAME, text.encode())
         write_atomically(folder / PAGE_NAME, paper_page(sections, command).encode())

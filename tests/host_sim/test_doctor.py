@@ -1,15 +1,19 @@
 """``omnibot doctor``: what is missing or broken is found, and the command that helps is named."""
 
+import json
 import os
 import shutil
 import subprocess
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from typer.testing import CliRunner
 
 from host_sim import doctor
+from host_sim.cli import app
 from host_sim.doctor import CHECKS, Check, Finding, examine, main_job_works, text_of
 from host_sim.errors import OmnibotError
 
@@ -281,3 +285,27 @@ def test_text_names_need_and_cure_only_where_something_is_missing() -> None:
     missing = text_of(Finding("QEMU", False, "no qemu-system-arm", "run --bus pil", "tools/setup board")).plain
     assert missing.split("\n")[0].endswith("no qemu-system-arm; needed for run --bus pil")
     assert missing.split("\n")[1].strip() == "→ tools/setup board"
+
+
+# ---- the verb
+
+
+@pytest.mark.parametrize(("broken", "code"), [("QEMU", 0), ("run in-process", 1)])
+def test_exit_code_tells_whether_the_main_job_works(monkeypatch: pytest.MonkeyPatch, broken: str, code: int) -> None:
+    def attempt(name: str) -> str:
+        if name == broken:
+            raise doctor.Broken("not here")
+        return "here"
+
+    checks = [Check(name, "all", f"cure {name}", partial(attempt, name)) for name in ("run in-process", "QEMU")]
+    monkeypatch.setattr("host_sim.cli.board.CHECKS", checks)
+    lines = CliRunner().invoke(app, ["doctor"])
+    assert lines.exit_code == code
+    assert f"→ cure {broken}" in lines.stdout
+    as_json = CliRunner().invoke(app, ["doctor", "--json"])
+    assert as_json.exit_code == code
+    result = json.loads(as_json.stdout)
+    assert result["status"] == ("broken" if code else "works")
+    assert {found["name"]: (found["works"], found["cure"]) for found in result["checks"]} == {
+        name: (name != broken, f"cure {name}" if name == broken else None) for name in ("run in-process", "QEMU")
+    }

@@ -25,7 +25,7 @@ from host_sim.inject import (
 )
 from host_sim.planner import PathRequest
 from host_sim.robot import load_robot
-from host_sim.soak import Memory, soak
+from host_sim.soak import Memory, SoakResult, soak
 from host_sim.sweep import corner_path
 
 CODEC = Codec()
@@ -185,7 +185,8 @@ def test_restart_cases_are_as_many_as_asked_and_the_same_for_the_same_seed() -> 
 
 
 def test_soak_explains_every_end_and_holds_no_memory() -> None:
-    result = soak(duration_s=60.0, wall_s=600.0, seed=5)
+    result = SoakResult(seed=5)
+    soak(60.0, 600.0, result)
     assert result.problems == []
     assert result.simulated_s >= 60.0
     assert sum(result.ends.values()) == result.drives > 3
