@@ -191,7 +191,7 @@ def test_realtime_run_keeps_the_clock_and_reports_everything(tmp_path: Path, sta
     assert timing["round_trip_us"]["max"] >= timing["round_trip_us"]["min"] > 0.0
     rounds = sum(result["histograms"]["round_trip_us"]["counts"])
     assert 0 < rounds <= 1201
-    assert (tmp_path / "timing.png").exists()
+    assert '<figure id="timing"' in (tmp_path / "report.html").read_text()
 
     own = json.loads((tmp_path / "timing.json").read_text())
     for name in ("step_time", "release_jitter"):
