@@ -11,6 +11,7 @@ from typing import NamedTuple, Self
 
 import can
 
+from host_sim.bus_choice import CONFIGURED, BusChoice, choose_bus
 from host_sim.errors import OmnibotError
 from host_sim.link import open_bus
 from host_sim.monitor.driving import Sample
@@ -26,16 +27,24 @@ MEMINFO_WORDS, MEMINFO_DROPS = 9, 8
 OF_ONE_ROBOT = ("inproc", "pil", "omnibot")
 
 
-def open_listening(name: str, node: int, interface: str | None, channel: str | None, bitrate: int | None) -> can.BusABC:
-    """Open a bus to listen only; the arguments are those of `open_bus`."""
-    if (interface or name) in OF_ONE_ROBOT:
+def choose_listening(name: str, interface: str | None, channel: str | None, bitrate: int | None) -> BusChoice:
+    """Return the bus to listen to, by the options of `choose_bus`; a SocketCAN interface may have a bit rate."""
+    configured = interface is not None or name == CONFIGURED
+    choice = choose_bus(name, interface, channel, bitrate if configured else None)
+    if (choice.interface or choice.name) in OF_ONE_ROBOT:
         raise OmnibotError(
-            f"{interface or name} is a bus within a run, nobody else can hear it: "
+            f"{choice.interface or choice.name} is a bus within a run, nobody else can hear it: "
             "drive on a SocketCAN interface (omnibot run --bus vcan0) and give it with --bus"
         )
-    if interface == "slcan":
-        return open_serial(channel, bitrate, listen_only=True)
-    bus = open_bus(name, node, interface, channel, bitrate)
+    return choice
+
+
+def open_listening(choice: BusChoice, node: int) -> can.BusABC:
+    """Open a bus to listen only."""
+    if choice.interface == "slcan":
+        return open_serial(choice.channel, choice.bitrate, **{**choice.others, "listen_only": True})
+    channel = None if choice.channel is None else str(choice.channel)
+    bus = open_bus(choice.name, node, choice.interface, channel, choice.bitrate)
     heard = getattr(bus, "socket", None)
     if isinstance(heard, socket.socket):
         with contextlib.suppress(OSError):

@@ -20,6 +20,7 @@ from host_sim.cli import app
 from host_sim.codec import DBC_FILE, Codec, load_messages
 from host_sim.monitor.driving import BRAKING, NO_START, NO_TRAJECTORY, NOT_DRIVING
 from host_sim.monitor.listen import News
+from host_sim.monitor.motion import MotionWindow
 from host_sim.monitor.snapshot import Snapshot
 from host_sim.monitor.state import OF_HOST, MonitorState, fault_texts
 from host_sim.monitor.terminal import picture, sparkline
@@ -134,6 +135,28 @@ def test_standing_robot_has_no_slip_ratio(run: Recorded) -> None:
     slip = list(at_each_torque(new_state(), run.frames))[-1].slip
     assert slip.ratio is None
     assert slip.velocity_m_per_s is not None
+
+
+@pytest.mark.parametrize("heading", [0.0, 1.0, 3.1])
+def test_turning_robot_has_the_twist_and_slip_that_it_was_given(heading: float) -> None:
+    """A steady twist is an arc; its wheels turn by Jr times the twist less the slip."""
+    twist, slip, window = np.array([0.4, -0.3, 2.0]), np.array([0.02, -0.01, 0.03]), MotionWindow(ROBOT)
+    wheel_speed = (ROBOT.Jr @ twist - slip) / ROBOT.wheel_radius_m
+    for tick in range(80):
+        turned = twist[2] * tick * PERIOD_S
+        along, across = math.sin(turned) / twist[2], (1.0 - math.cos(turned)) / twist[2]
+        arc = np.array([[along, -across], [across, along]])
+        cosine, sine = math.cos(heading), math.sin(heading)
+        x, y = np.array([[cosine, -sine], [sine, cosine]]) @ arc @ twist[:2]
+        window.add_wheel_speed(tick * PERIOD_S, wheel_speed.tolist())
+        window.add_pose(tick * PERIOD_S, (x, y, math.remainder(heading + turned, math.tau)))
+    motion = window.motion()
+    assert motion is not None
+    assert motion.slip_m_per_s is not None
+    np.testing.assert_allclose(motion.twist, twist, atol=5e-4)  # the arc's chord over 50 ms is 4e-4 shorter
+    np.testing.assert_allclose(motion.slip_m_per_s, slip, atol=5e-4)
+    ratio = motion.slip_ratio(1e-3, 0.5)
+    np.testing.assert_allclose(ratio, slip / (math.hypot(0.4, 0.3, 0.5 * 2.0) + 1e-3), atol=5e-4)
 
 
 def test_load_is_that_of_the_wire_definition(run: Recorded) -> None:

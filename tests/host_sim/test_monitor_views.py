@@ -29,7 +29,7 @@ from host_sim.errors import OmnibotError
 from host_sim.inproc import InprocBus
 from host_sim.link import Link
 from host_sim.monitor import terminal
-from host_sim.monitor.listen import Listener, News, open_listening
+from host_sim.monitor.listen import Listener, News, choose_listening, open_listening
 from host_sim.monitor.server import MonitorServer, about, updates
 from host_sim.monitor.snapshot import Snapshot
 from host_sim.monitor.state import MonitorState
@@ -139,11 +139,23 @@ def test_news_come_once(frames: list[can.Message]) -> None:
     assert again.samples == again.events == []
 
 
-def test_serial_port_is_opened_to_listen_only() -> None:
-    with SerialRobot() as robot, open_listening("vcan0", 0, "slcan", robot.port, None) as bus:
-        assert bus.recv(0.1) is None
-        assert b"L\r" in robot.heard
-        assert b"O\r" not in robot.heard
+@pytest.mark.parametrize("name", ["vcan0", "can"])
+def test_serial_port_is_opened_to_listen_only(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whether the options name it or python-can's configuration."""
+    with SerialRobot() as robot:
+        monkeypatch.setenv("CAN_INTERFACE", "slcan")
+        monkeypatch.setenv("CAN_CHANNEL", robot.port)
+        given = (None, None) if name == "can" else ("slcan", robot.port)
+        with open_listening(choose_listening(name, *given, None), 0) as bus:
+            assert bus.recv(0.1) is None
+            assert b"L\r" in robot.heard
+            assert b"O\r" not in robot.heard
+
+
+def test_bit_rate_beside_an_interface_is_what_the_load_is_measured_against() -> None:
+    assert choose_listening("vcan0", None, None, 500_000).name == "vcan0"
+    with pytest.raises(OmnibotError, match="no bus 'vcan9'"):
+        monitor("--bus", "vcan9", "-b", "500000", "--once")
 
 
 @pytest.mark.parametrize("options", [["--bus", "inproc"], ["--bus", "pil"], ["-i", "omnibot"]])

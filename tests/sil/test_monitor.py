@@ -15,6 +15,7 @@ import can
 import pytest
 from typer.testing import CliRunner
 
+from host_sim.bus_choice import BusChoice
 from host_sim.cli import app
 from host_sim.codec import DBC_FILE
 from host_sim.errors import OmnibotError
@@ -61,7 +62,7 @@ class Watcher(threading.Thread):
 
     def run(self) -> None:
         self.seen = snapshot_when(self.url, lambda snapshot: snapshot["tracking"]["error_m"] is not None)
-        with make_listener(lambda: open_listening("vcan0", 0, None, None, None), 0, None, DBC_FILE) as listener:
+        with make_listener(lambda: open_listening(BusChoice("vcan0"), 0), 0, None, DBC_FILE) as listener:
             self.late = json.loads(look_once(listener, 0.5, as_json=True)[0])
 
 
