@@ -133,12 +133,12 @@ _POSE, _SLOW, _SLIP, _ANGLE = range(4)
 _SEEN_POSE, _SEEN_TWIST, _SEEN_WHEEL_SPEED, _SEEN_SLIP_RATIO, _SEEN_FORCE, _SEEN_ROWS = range(6)
 # Constants: matrices first.
 _G, _K, _JR, _PUSH, _DRIVE = 0, 3, 6, 9, 12
-_COUPLING = 15  # Mo / Mv
-_TORQUE = 16  # r/Iw, slip ratio at the peak times the largest V̇ (0: no peak)
-_SPEED = 17  # ℓ², δ, ε/G0
-_CURVE = 18  # slip ratio at the peak, friction limit in N, largest slope in N
-_CONSTANT_ROWS = 20  # 19: 1/r
-_WHEEL = 19
+_COUPLING = 15  # Mv⁻¹ Mo
+_TORQUE = 18  # r/Iw, slip ratio at the peak times the largest V̇ (0: no peak)
+_SPEED = 19  # ℓ², δ, ε/G0
+_CURVE = 20  # slip ratio at the peak, friction limit in N, largest slope in N
+_WHEEL = 21  # 1/r
+_CONSTANT_ROWS = 22
 # Work space: of the period, of the step, of its stages.
 _SLOW_DRIVE, _SLIP_DRIVE = 0, 1
 _SLOW_RATE, _SLIP_RATE, _STIFFNESS, _SCALE, _LIMITS, _SCRATCH, _ERR, _JACOBIAN = 2, 3, 4, 5, 6, 7, 8, 9
@@ -192,9 +192,9 @@ def _rates(
     force1 = c[_G + 1, 0] * f0 + c[_G + 1, 1] * f1 + c[_G + 1, 2] * f2
     force2 = c[_G + 2, 0] * f0 + c[_G + 2, 1] * f1 + c[_G + 2, 2] * f2
     return (
-        w[_SLOW_DRIVE, 0] - c[_COUPLING, 0] * a0,
-        w[_SLOW_DRIVE, 1] - c[_COUPLING, 1] * a1,
-        w[_SLOW_DRIVE, 2],
+        w[_SLOW_DRIVE, 0] - (c[_COUPLING, 0] * a0 + c[_COUPLING, 1] * a1),
+        w[_SLOW_DRIVE, 1] - (c[_COUPLING + 1, 0] * a0 + c[_COUPLING + 1, 1] * a1),
+        w[_SLOW_DRIVE, 2] - (c[_COUPLING + 2, 0] * a0 + c[_COUPLING + 2, 1] * a1),
         w[_SLIP_DRIVE, 0] - force0 - (c[_PUSH, 0] * a0 + c[_PUSH, 1] * a1),
         w[_SLIP_DRIVE, 1] - force1 - (c[_PUSH + 1, 0] * a0 + c[_PUSH + 1, 1] * a1),
         w[_SLIP_DRIVE, 2] - force2 - (c[_PUSH + 2, 0] * a0 + c[_PUSH + 2, 1] * a1),
@@ -841,12 +841,12 @@ class Plant:
 def _constants(robot: Robot, traction: Traction, speed_length_m: float, delta_m_per_s: float) -> Array:
     """Lay the constants out in rows, as the compiled functions read them."""
     jr, mo, r, iw = robot.Jr, robot.Mo, robot.wheel_radius_m, robot.wheel_inertia_kg_m2
-    mv = mo + iw / r**2 * np.sum(jr**2, axis=0)  # Mo + Iw JᵀJ; JᵀJ is diagonal
+    mv = np.diag(mo) + iw / r**2 * jr.T @ jr  # Mo + Iw JᵀJ
     c = np.zeros((_CONSTANT_ROWS, 3))
     c[_JR : _JR + 3] = jr
-    c[_K : _K + 3] = jr.T * (iw / r**2) / mv[:, None]
-    c[_DRIVE : _DRIVE + 3] = jr.T / r / mv[:, None]
-    c[_COUPLING] = mo / mv
+    c[_K : _K + 3] = np.linalg.solve(mv, jr.T * (iw / r**2))
+    c[_DRIVE : _DRIVE + 3] = np.linalg.solve(mv, jr.T / r)
+    c[_COUPLING : _COUPLING + 3] = np.linalg.solve(mv, np.diag(mo))
     c[_SPEED] = speed_length_m**2, delta_m_per_s, 1.0
     c[_CURVE] = math.inf, math.inf, 0.0
     c[_WHEEL, 0] = 1.0 / r

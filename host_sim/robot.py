@@ -1,12 +1,16 @@
 """The robot in numbers, read from ``firmware/robot/omnibot.toml``."""
 
 import difflib
+import json
+import math
+import os
 import tomllib
-from collections.abc import Iterable
+import zlib
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +19,11 @@ from host_sim.errors import OmnibotError
 
 ROOT = Path(__file__).resolve().parents[1]
 ROBOT_FILE = ROOT / "firmware" / "robot" / "omnibot.toml"
+ROBOT_VARIABLE = "OMNIBOT_ROBOT"  # of the environment: another robot file
+
+WHEELS = 3
+# Least of the singular values of Jr, its third column over the largest distance: 1.2 with three wheels at 120 degrees.
+GRIP_MIN = 0.1
 
 Array = NDArray[np.float64]
 
@@ -101,11 +110,20 @@ class Motor:
 
 
 @dataclass(frozen=True)
+class Wheel:
+    """Where a wheel stands and drives, in the body frame; angles from its first axis, counter-clockwise."""
+
+    placement_rad: float  # alpha
+    distance_m: float  # b, from the centre of mass
+    drive_rad: float  # beta: the way the robot is moved when the wheel turns forwards
+
+
+@dataclass(frozen=True)
 class Robot:
     """Geometry, inertia, traction and limits of one robot, in SI units (symbols of the paper in brackets)."""
 
     tracked_point_offset_m: float  # L: along the body's second axis
-    wheel_distance_m: float  # b
+    wheels: tuple[Wheel, ...]
     wheel_radius_m: float  # r
     mass_kg: float  # m
     yaw_inertia_kg_m2: float  # Ic
@@ -118,12 +136,36 @@ class Robot:
     control_period_s: float
     motor: Motor
     parameters: tuple[Parameter, ...]
+    file: Path  # that it was read from
+    checksum: int  # of the numbers in it, by which firmware and host know that they mean the same robot
+
+    @cached_property
+    def wheel_positions(self) -> Array:
+        """Where the wheels stand in the body frame, shape (3, 2) in m."""
+        return np.array(
+            [(w.distance_m * np.cos(w.placement_rad), w.distance_m * np.sin(w.placement_rad)) for w in self.wheels]
+        )
+
+    @cached_property
+    def drive_directions(self) -> Array:
+        """Unit vectors that the wheels drive along in the body frame, shape (3, 2)."""
+        return np.array([(np.cos(w.drive_rad), np.sin(w.drive_rad)) for w in self.wheels])
+
+    @property
+    def wheel_distance_m(self) -> float:
+        """b, of the wheel that stands furthest out."""
+        return max(wheel.distance_m for wheel in self.wheels)
 
     @cached_property
     def Jr(self) -> Array:  # noqa: N802
-        """Drive-direction matrix, shape (3, 3): body twist to contact-point speeds, m/s (theory, 'Kinematics')."""
-        b, h = self.wheel_distance_m, np.sqrt(3.0) / 2.0
-        return np.array([[-h, 0.5, b], [0.0, -1.0, b], [h, 0.5, b]])
+        """Drive-direction matrix, shape (3, 3): body twist to contact-point speeds, m/s (theory, (K1))."""
+        lever = [w.distance_m * np.sin(w.drive_rad - w.placement_rad) for w in self.wheels]
+        return np.column_stack([self.drive_directions, lever])
+
+    @cached_property
+    def load_shares(self) -> Array:
+        """Shares of the weight that the wheels carry at rest, shape (3,): the centre of mass is the body's origin."""
+        return np.asarray(np.linalg.solve(np.vstack([np.ones(WHEELS), self.wheel_positions.T]), [1.0, 0.0, 0.0]))
 
     @cached_property
     def Mo(self) -> Array:  # noqa: N802
@@ -141,41 +183,106 @@ class Robot:
         return parameter_named(name, self.parameters)
 
 
-def load_robot(path: Path = ROBOT_FILE) -> Robot:
-    """Read a robot file."""
+def load_robot(path: Path | None = None) -> Robot:
+    """Read a robot file: the one given, else the one that OMNIBOT_ROBOT names, else firmware/robot/omnibot.toml."""
+    path = path or Path(os.environ.get(ROBOT_VARIABLE) or ROBOT_FILE)
     try:
         data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, tomllib.TOMLDecodeError) as error:
+    except (OSError, ValueError) as error:
         raise OmnibotError(f"cannot read the robot file {path}: {error}") from error
+    try:
+        robot = _robot(path, data)
+        _check_geometry(robot)
+    except OmnibotError as error:
+        raise OmnibotError(f"{path}: {error}") from error
+    return robot
 
-    def value(table: str, key: str) -> float:
-        try:
-            return float(data[table][key]["value"])
-        except (KeyError, TypeError, ValueError) as error:
-            raise OmnibotError(f"{path}: [{table}] needs {key} = {{ value = NUMBER, … }}") from error
+
+def _robot(path: Path, data: Mapping[str, Any]) -> Robot:
+    """Make a robot of what its file holds."""
+
+    def value(table: str, key: str, unit: str) -> float:
+        return _value(data.get(table), f"[{table}]", key, unit)
 
     return Robot(
-        tracked_point_offset_m=value("geometry", "tracked_point_offset"),
-        wheel_distance_m=value("geometry", "wheel_distance"),
-        wheel_radius_m=value("geometry", "wheel_radius"),
-        mass_kg=value("inertia", "mass"),
-        yaw_inertia_kg_m2=value("inertia", "yaw_inertia"),
-        wheel_inertia_kg_m2=value("inertia", "wheel_inertia"),
-        normalised_stiffness_N=value("traction", "normalised_stiffness"),
-        friction_limit_N=value("traction", "friction_limit"),
-        magic_shape=value("traction", "magic_shape"),
-        magic_curvature=value("traction", "magic_curvature"),
-        torque_limit_Nm=value("motor", "torque_limit"),
-        control_period_s=value("timing", "control_period"),
+        tracked_point_offset_m=value("geometry", "tracked_point_offset", "m"),
+        wheels=_wheels(data.get("wheel")),
+        wheel_radius_m=value("geometry", "wheel_radius", "m"),
+        mass_kg=value("inertia", "mass", "kg"),
+        yaw_inertia_kg_m2=value("inertia", "yaw_inertia", "kg*m^2"),
+        wheel_inertia_kg_m2=value("inertia", "wheel_inertia", "kg*m^2"),
+        normalised_stiffness_N=value("traction", "normalised_stiffness", "N"),
+        friction_limit_N=value("traction", "friction_limit", "N"),
+        magic_shape=value("traction", "magic_shape", "1"),
+        magic_curvature=value("traction", "magic_curvature", "1"),
+        torque_limit_Nm=value("motor", "torque_limit", "N*m"),
+        control_period_s=value("timing", "control_period", "s"),
         motor=Motor(
-            resistance_Ohm=value("motor", "resistance"),
-            torque_constant_Nm_per_A=value("motor", "torque_constant"),
-            gear_ratio=value("motor", "gear_ratio"),
-            supply_nominal_V=value("motor", "supply_nominal"),
-            encoder_counts=value("motor", "encoder_counts"),
+            resistance_Ohm=value("motor", "resistance", "Ohm"),
+            torque_constant_Nm_per_A=value("motor", "torque_constant", "N*m/A"),
+            gear_ratio=value("motor", "gear_ratio", "1"),
+            supply_nominal_V=value("motor", "supply_nominal", "V"),
+            encoder_counts=value("motor", "encoder_counts", "1"),
         ),
         parameters=tuple(_parameter(entry) for entry in data.get("parameter", [])),
+        file=path,
+        checksum=zlib.crc32(json.dumps(_without_reasons(data), sort_keys=True).encode()),
     )
+
+
+def _value(table: object, where: str, key: str, unit: str) -> float:
+    """Return a number of a table of the robot file, whose unit must be the one meant."""
+    entry = table.get(key) if isinstance(table, dict) else None
+    entry = entry if isinstance(entry, dict) else {}
+    number = entry.get("value")
+    if isinstance(number, bool) or not isinstance(number, int | float) or not math.isfinite(number):
+        raise OmnibotError(f'{where} needs {key} = {{ value = NUMBER, unit = "{unit}", … }}')
+    if entry.get("unit") != unit:
+        raise OmnibotError(f"{where} {key} is in {entry.get('unit')!r}: it must be in {unit!r}")
+    return float(number)
+
+
+def _wheels(tables: object) -> tuple[Wheel, ...]:
+    """Make the wheels of their tables; as many as the wire carries."""
+    entries = tables if isinstance(tables, list) else []
+    if len(entries) != WHEELS:
+        raise OmnibotError(
+            f"{len(entries)} [[wheel]] tables: there must be {WHEELS}. Another number needs other frames in place of "
+            "WHEEL_SPEED, TORQUE and SLIP (protocol/omnibot.dbc), and a control law that shares out the forces"
+        )
+
+    def wheel(number: int, table: object) -> Wheel:
+        where = f"[[wheel]] {number}"
+        distance_m = _value(table, where, "distance", "m")
+        if not distance_m > 0.0:
+            raise OmnibotError(f"{where} distance = {distance_m:g} m: it must be above 0")
+        placement, drive = (math.radians(_value(table, where, key, "deg")) for key in ("placement", "drive"))
+        return Wheel(placement, distance_m, drive)
+
+    return tuple(wheel(number, table) for number, table in enumerate(entries, start=1))
+
+
+def _check_geometry(robot: Robot) -> None:
+    """Refuse wheels that cannot move the robot every way, or that it does not stand on."""
+    unit = np.array([1.0, 1.0, robot.wheel_distance_m])
+    grip = float(np.linalg.svd(robot.Jr / unit, compute_uv=False).min())
+    if not grip >= GRIP_MIN:
+        raise OmnibotError(
+            "the wheels cannot drive the robot every way: the lines that they drive along nearly meet in one point, or "
+            f"are parallel (least singular value of Jr {grip:.2g}: must be {GRIP_MIN:g} or more; 1.2 at 120 degrees)"
+        )
+    corners = robot.wheel_positions
+    if abs(np.linalg.det(np.diff(corners, axis=0))) < 1e-9 or not robot.load_shares.min() > 0.0:
+        raise OmnibotError(
+            "the robot would tip over: its centre of mass, the origin, must lie between the three wheels"
+        )
+
+
+def _without_reasons(data: object) -> object:
+    """Return what a file holds without what changes no number: symbols and sources."""
+    if isinstance(data, dict):
+        return {key: _without_reasons(part) for key, part in data.items() if key not in ("symbol", "source")}
+    return [_without_reasons(part) for part in data] if isinstance(data, list) else data
 
 
 def _parameter(entry: dict[str, object]) -> Parameter:

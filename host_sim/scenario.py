@@ -21,7 +21,8 @@ PACES = ("lockstep", "realtime")
 
 def plant_numbers() -> list[str]:
     """Return the names of the robot's numbers that a plant may have otherwise than its firmware believes."""
-    return sorted({item.name for item in fields(Robot) if item.type in (float, "float")} - {"control_period_s"})
+    numbers = {item.name for item in fields(Robot) if item.type in (float, "float")} - {"control_period_s"}
+    return sorted(numbers | {"wheel_distance_m"})
 
 
 @dataclass(frozen=True)
@@ -60,7 +61,10 @@ class Scenario:
                 raise OmnibotError(f"the plant has no {name!r}; there are: {', '.join(numbers)}")
             if not 0.0 < value < math.inf:
                 raise OmnibotError(f"{name} = {value:g} of the plant must be above 0")
-        return replace(robot, **dict(self.plant))  # type: ignore[arg-type]  # the names were checked
+        others = dict(self.plant)
+        farther = others.pop("wheel_distance_m", robot.wheel_distance_m) / robot.wheel_distance_m
+        wheels = tuple(replace(wheel, distance_m=farther * wheel.distance_m) for wheel in robot.wheels)
+        return replace(robot, wheels=wheels, **others)  # type: ignore[arg-type]  # the names were checked
 
     def traction_of(self, robot: Robot) -> Traction:
         """Return the floor; a slipping one, since a firmware at the wheels' end of a rigid one has nothing to do."""

@@ -52,8 +52,8 @@ def path_figure(trace: Trace, polyline: Array, robot: Robot) -> Figure:
     if view is not None:
         panels.append(_enlarged(trace, polyline, *view, robot))
     caption = (
-        "The tracked point p and its reference, seen from above. The robot is drawn to scale, with its three wheels at "
-        "120° and an arm from its centre to p."
+        "The tracked point p and its reference, seen from above. The robot is drawn to scale, with its wheels "
+        "and an arm from its centre to p."
     )
     return Figure("path", caption, panels, wide=True)
 
@@ -143,8 +143,7 @@ def outline(robot: Robot) -> dict[str, Array]:
     angle = np.linspace(0.0, 2.0 * np.pi, 49)
     body = robot.wheel_distance_m * np.column_stack([np.cos(angle), np.sin(angle)])
     wheels = []
-    for direction in robot.Jr[:, :2]:
-        hub = robot.wheel_distance_m * np.array([direction[1], -direction[0]])
+    for hub, direction in zip(robot.wheel_positions, robot.drive_directions, strict=True):
         wheels += [hub - robot.wheel_radius_m * direction, hub + robot.wheel_radius_m * direction, [np.nan, np.nan]]
     arm = np.array([[0.0, 0.0], [0.0, robot.tracked_point_offset_m]])
     return {"body": body, "wheels": np.array(wheels), "arm": arm}
