@@ -2,6 +2,7 @@
 """Write the C constants of a robot file: generate_constants.py ROBOT.toml OUTPUT_FOLDER.
 
 robot_constants.c holds the robot and the manifold's constant matrices (firmware/control/THEORY.md), computed in double;
+wheel_layout.h says which form they have (firmware/control/wheels.h);
 motor_constants.c holds the board's motors; parameter_table.h and .c hold the parameters that can be set over CAN.
 """
 
@@ -22,6 +23,11 @@ from host_sim.robot import Parameter, Robot, load_robot
 CURVE_INTERVALS = 64
 FORCE_SHARE_MAX = 0.95
 
+# Share of the largest entry of Jr by which another may be off and the wheels still be three at 120 degrees: rounding.
+ALIKE = 1e-12
+
+Matrix = NDArray[np.floating[Any]]
+
 NOTE = "// Generated from {source} by tools/generate_constants.py; do not edit.\n"
 
 
@@ -31,21 +37,49 @@ def c_float(value: float) -> str:
     return f"{text}f" if "." in text or "e" in text else f"{text}.0f"
 
 
-def c_vector(vector: NDArray[np.floating[Any]]) -> str:
-    """Return the initialiser of a vec3_t or a wheel_map_t."""
-    return "{" + ", ".join(c_float(x) for x in vector) + "}"
+def c_numbers(*numbers: float) -> str:
+    """Return the initialiser of a struct of floats."""
+    return "{" + ", ".join(c_float(x) for x in numbers) + "}"
 
 
-def c_map(matrix: NDArray[np.floating[Any]]) -> str:
-    """Return the initialiser of the wheel_map_t that does what a matrix from the body to the wheels does.
+def c_matrix(matrix: Matrix) -> str:
+    """Return the initialiser of a mat3_t."""
+    return "{{" + ", ".join(c_numbers(*row) for row in matrix) + "}}"
 
-    Three equal wheels at 120 degrees make every such matrix of firmware/control/wheels.h's form; others are refused.
-    """
+
+def is_alike(matrix: Matrix) -> bool:
+    """Whether a matrix from the body to the wheels is Jr of three equal wheels at 120 degrees, its columns scaled."""
     ahead, side, turn = matrix[2]
     form = np.array([[-ahead, side, turn], [0.0, -2.0 * side, turn], [ahead, side, turn]])
-    if not np.allclose(matrix, form, rtol=0.0, atol=1e-12 * np.abs(matrix).max()):
-        raise OmnibotError("firmware/control/wheels.h is for three equal wheels at 120 degrees; this robot has others")
-    return c_vector(matrix[2])
+    return np.allclose(matrix, form, rtol=0.0, atol=ALIKE * np.abs(matrix).max())
+
+
+def geometry_fields(robot: Robot) -> list[tuple[str, str, str]]:
+    """Return field, initialiser and source formula of what depends on where the wheels stand, as wheels.h has it."""
+    jr, r = robot.Jr, robot.wheel_radius_m
+    maps = [
+        ("wheel_rate_of_twist", jr / r, "J = Jr / r"),
+        ("inertia_torque_of_accel", jr / r * robot.wheel_inertia_kg_m2, "Iw J"),
+        ("twist_of_wheel_rate", r * np.linalg.inv(jr).T, "J^-1"),
+        ("twist_of_contact_speed", np.linalg.inv(jr).T, "Jr^-1"),
+        ("wheel_force_of_specific", np.linalg.inv(jr.T) @ np.diag(robot.Mo), "Lambda = Jr^-T Mo"),
+    ]
+    slip_mass = np.linalg.inv(jr.T @ jr) @ np.diag(robot.Mo)
+    mobility_inverse = np.linalg.inv(jr @ jr.T + r**2 * np.eye(3))
+    if not is_alike(jr):
+        fields = [(name, c_matrix(matrix), formula) for name, matrix, formula in maps]
+        fields.append(("slip_mass", c_matrix(slip_mass), "Jr^-1 Lambda = (Jr^T Jr)^-1 Mo"))
+        return [*fields, ("slip_mobility_inverse", c_matrix(mobility_inverse), "Gamma^-1 = (Jr Jr^T + r^2 I)^-1")]
+    of_sum = mobility_inverse[0, 1]  # the rest is diagonal
+    return [
+        *((name, c_numbers(*matrix[2]), formula) for name, matrix, formula in maps),
+        ("slip_mass", c_numbers(*np.diag(slip_mass)), "diagonal of Jr^-1 Lambda = (Jr^T Jr)^-1 Mo"),
+        (
+            "slip_mobility_inverse",
+            c_numbers(mobility_inverse[0, 0] - of_sum, of_sum),
+            "Gamma^-1 = (Jr Jr^T + r^2 I)^-1 where the wheels sum to 0, and what it adds, of their sum",
+        ),
+    ]
 
 
 def layer_rate(robot: Robot) -> float:
@@ -73,9 +107,7 @@ def c_curve(robot: Robot) -> str:
 
 def robot_fields(robot: Robot) -> list[tuple[str, str, str]]:
     """Return field, initialiser and source formula of a robot_t."""
-    jr, r = robot.Jr, robot.wheel_radius_m
-    of_sum_zero, of_mean = 1.0 / (1.5 + r**2), 1.0 / (np.sum(jr[:, 2] ** 2) + r**2)  # Gamma is 1.5, b^2 1 1^T and r^2 I
-    slip_mass = np.linalg.inv(jr.T @ jr) @ np.diag(robot.Mo)
+    r = robot.wheel_radius_m
     period_us = round(1e6 * robot.control_period_s)
     return [
         ("tracked_point_offset_m", c_float(robot.tracked_point_offset_m), "L"),
@@ -85,16 +117,11 @@ def robot_fields(robot: Robot) -> list[tuple[str, str, str]]:
         ("wheel_rate_of_contact_speed_per_m", c_float(1.0 / r), "1/r"),
         ("control_period_s", c_float(robot.control_period_s), "T"),
         ("control_period_us", f"{period_us}u", "T"),
-        ("wheel_rate_of_twist", c_map(jr / r), "J = Jr / r"),
-        ("inertia_torque_of_accel", c_map(jr / r * robot.wheel_inertia_kg_m2), "Iw J"),
-        ("twist_of_wheel_rate", c_map(r * np.linalg.inv(jr).T), "J^-1"),
-        ("twist_of_contact_speed", c_map(np.linalg.inv(jr).T), "Jr^-1"),
-        ("wheel_force_of_specific", c_map(np.linalg.inv(jr.T) @ np.diag(robot.Mo)), "Lambda = Jr^-T Mo"),
-        ("slip_mass", c_vector(np.diag(slip_mass)), "diagonal of Jr^-1 Lambda = (Jr^T Jr)^-1 Mo"),
-        ("slip_mobility_inverse", c_float(of_sum_zero), "Gamma^-1 = (Jr Jr^T + r^2 I)^-1 where the wheels sum to 0"),
-        ("slip_mobility_inverse_of_sum", c_float((of_mean - of_sum_zero) / 3.0), "and what it adds, of their sum"),
+        *geometry_fields(robot),
         ("layer_lag_Ns2_per_m", c_float(1.0 / layer_rate(robot)), "over the slowest eigenvalue of M22 Gamma^2"),
         ("floor_curve", c_curve(robot), "magic formula turned round: s / (eps lambda / G0)"),
+        ("wheel_distance_m", c_float(robot.wheel_distance_m), "b"),
+        ("file_checksum", f"0x{robot.checksum:08X}u", "of the robot file"),
     ]
 
 
@@ -102,6 +129,15 @@ def constants_source(robot: Robot) -> str:
     """Return robot_constants.c."""
     lines = [f"    .{field} = {value}, // {formula}" for field, value, formula in robot_fields(robot)]
     return '#include "robot.h"\n\nconst robot_t omnibot = {\n' + "\n".join(lines) + "\n};\n"
+
+
+def layout_header(robot: Robot) -> str:
+    """Return wheel_layout.h: which form the maps between body and wheels have."""
+    meaning = "three equal wheels at 120 degrees, in the order of (K1)"
+    return (
+        "#ifndef OMNIBOT_WHEEL_LAYOUT_H\n#define OMNIBOT_WHEEL_LAYOUT_H\n\n"
+        f"#define OMNIBOT_WHEELS_ALIKE {int(is_alike(robot.Jr))} // {meaning}\n\n#endif\n"
+    )
 
 
 def motor_source(robot: Robot) -> str:
@@ -152,7 +188,7 @@ def table_source(parameters: tuple[Parameter, ...]) -> str:
 
 
 def main() -> None:
-    """Generate robot_constants.c, motor_constants.c, parameter_table.h and parameter_table.c."""
+    """Generate robot_constants.c, wheel_layout.h, motor_constants.c, parameter_table.h and parameter_table.c."""
     if len(sys.argv) != 3:
         sys.exit("usage: generate_constants.py ROBOT.toml OUTPUT_FOLDER")
     source, folder = Path(sys.argv[1]), Path(sys.argv[2])
@@ -165,6 +201,7 @@ def main() -> None:
     note = NOTE.format(source=source.name)
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "robot_constants.c").write_text(note + constants_source(robot), encoding="utf-8")
+    (folder / "wheel_layout.h").write_text(note + layout_header(robot), encoding="utf-8")
     (folder / "motor_constants.c").write_text(note + motor_source(robot), encoding="utf-8")
     (folder / "parameter_table.h").write_text(note + table_header(robot.parameters), encoding="utf-8")
     (folder / "parameter_table.c").write_text(note + table_source(robot.parameters), encoding="utf-8")

@@ -29,10 +29,10 @@ typedef struct {
 
 void control_prepare(control_params_t *params)
 {
-    const float translation = params->robot->slip_mass.x * params->law.damping_per_s.x;
-    const float heading_damping = params->law.output == OUTPUT_POSTURE ? params->law.damping_per_s.z : 0.0f;
-    const float yaw = params->robot->slip_mass.z * heading_damping;
-    params->compliance_max_mps_per_N = params->series_ratio_max / (translation > yaw ? translation : yaw);
+    const vec3_t at_rest = {0};
+    const mat3_t gradient = tracking_gradient(params->robot, &params->law, at_rest);
+    const float ratio_per_compliance = slip_mass_ratio(&params->robot->slip_mass, &gradient);
+    params->compliance_max_mps_per_N = params->series_ratio_max / ratio_per_compliance;
     params->layer_s_per_mps = params->floor.compliance_per_N * params->robot->layer_lag_Ns2_per_m;
     floor_prepare(&params->floor);
 }
@@ -75,7 +75,7 @@ static vec3_t newton_step(const step_t *step, vec3_t first_round)
 {
     const robot_t *robot = step->params->robot;
     const mat3_t gradient = tracking_gradient(robot, &step->params->law, step->odometry);
-    const mat3_t system = mat3_identity_plus(vec3_scale(step->compliance.mps_per_N, robot->slip_mass), &gradient);
+    const mat3_t system = slip_mass_system(&robot->slip_mass, step->compliance.mps_per_N, &gradient);
     return vec3_add(step->odometry, mat3_solve(&system, vec3_sub(first_round, step->odometry)));
 }
 
@@ -139,7 +139,7 @@ static vec3_t inertia_torque(const step_t *step, const demand_t *demand, float s
     const robot_t *robot = step->params->robot;
     vec3_t body_acceleration = demand->eta;
     if (step->params->order != 0) {
-        const vec3_t slip_rate = vec3_gained(robot->slip_mass, slip_specific_rate(step, demand, speed_mps));
+        const vec3_t slip_rate = slip_mass_times(&robot->slip_mass, slip_specific_rate(step, demand, speed_mps));
         body_acceleration = vec3_add(demand->eta, slip_rate);
     }
     return wheels_of_body(&robot->inertia_torque_of_accel, body_acceleration);

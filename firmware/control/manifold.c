@@ -13,7 +13,5 @@ vec3_t manifold_specific_force_rate(vec3_t twist, vec3_t acceleration, vec3_t je
 
 vec3_t manifold_of_force(const robot_t *robot, float mobility, vec3_t force_N)
 {
-    const float alike = -mobility * robot->slip_mobility_inverse_of_sum * vec3_sum(force_N);
-    const float scale = -mobility * robot->slip_mobility_inverse;
-    return (vec3_t){scale * force_N.x + alike, scale * force_N.y + alike, scale * force_N.z + alike};
+    return wheels_of_wheels(&robot->slip_mobility_inverse, -mobility, force_N);
 }

@@ -23,11 +23,12 @@ typedef struct {
     wheel_map_t twist_of_wheel_rate;         // J⁻¹, m
     wheel_map_t twist_of_contact_speed;      // Jr⁻¹
     wheel_map_t wheel_force_of_specific;     // Λ = Jr⁻ᵀ Mo: wheel forces (N) of a specific force on the body
-    vec3_t slip_mass;                        // diagonal of Jr⁻¹ Λ = (Jrᵀ Jr)⁻¹ Mo
-    float slip_mobility_inverse;             // Γ⁻¹ of what sums to 0 over the wheels, Γ = Jr Jrᵀ + r² I3
-    float slip_mobility_inverse_of_sum;      // and what Γ⁻¹ adds to each wheel, of their sum
+    slip_mass_t slip_mass;                   // D = Jr⁻¹ Λ = (Jrᵀ Jr)⁻¹ Mo
+    contact_map_t slip_mobility_inverse;     // Γ⁻¹, Γ = Jr Jrᵀ + r² I3
     float layer_lag_Ns2_per_m; // over the slowest eigenvalue of M22 Γ²: the layer (18) dies in this times ε (V+δ)/G0
     floor_curve_t floor_curve; // the magic formula's shape, turned round
+    float wheel_distance_m;    // b, of the wheel furthest out
+    uint32_t file_checksum;    // of the robot file's numbers
 } robot_t;
 
 /// The robot of firmware/robot/omnibot.toml.

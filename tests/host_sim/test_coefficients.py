@@ -282,7 +282,8 @@ def of_body(field: str) -> Array:
 
 def gamma_inverse() -> Array:
     """The matrix that the two numbers of it stand for."""
-    return np.diag(3 * [numbers("slip_mobility_inverse")[0]]) + numbers("slip_mobility_inverse_of_sum")[0]
+    of_difference, of_sum = numbers("slip_mobility_inverse")
+    return np.diag(3 * [of_difference]) + of_sum
 
 
 # Of each constant: the fields of robot_t that hold it, and the matrix that they stand for.
@@ -291,7 +292,7 @@ IN_C = {
     "Iw J": (("inertia_torque_of_accel",), lambda: of_body("inertia_torque_of_accel")),
     "J^-1": (("twist_of_wheel_rate",), lambda: of_body("twist_of_wheel_rate").T),
     "Jr^-1": (("twist_of_contact_speed",), lambda: of_body("twist_of_contact_speed").T),
-    "Gamma^-1": (("slip_mobility_inverse", "slip_mobility_inverse_of_sum"), gamma_inverse),
+    "Gamma^-1": (("slip_mobility_inverse",), gamma_inverse),
     "Lambda": (("wheel_force_of_specific",), lambda: of_body("wheel_force_of_specific")),
     "Jr^-1 Lambda": (("slip_mass",), lambda: np.diag(numbers("slip_mass"))),
 }
