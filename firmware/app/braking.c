@@ -20,8 +20,8 @@ static float size_at_wheels(vec3_t a, float wheel_distance_m)
 /// σ̇ by the friction circle: what the path's own acceleration leaves of the allowed one is for braking.
 static float braking_rate(float rate, const robot_t *robot, float acceleration_mps2, const reference_t *reference)
 {
-    const float speed_mps = size_at_wheels(reference->velocity, robot->tracked_point_offset_m);
-    const float bend = rate * rate * size_at_wheels(reference->acceleration, robot->tracked_point_offset_m);
+    const float speed_mps = size_at_wheels(reference->velocity, robot->wheel_distance_m);
+    const float bend = rate * rate * size_at_wheels(reference->acceleration, robot->wheel_distance_m);
     const float left = acceleration_mps2 * acceleration_mps2 - bend * bend;
     const float least = SHARE_MIN * acceleration_mps2;
     const float along = left > least * least ? sqrtf(left) : least;

@@ -31,7 +31,9 @@ static double rate_change(double rate, double acceleration_mps2, vec3_t velocity
 {
     braking = (braking_t){.rate = (float)rate};
     reference_t reference = {.velocity = velocity, .acceleration = acceleration};
-    (void)braking_step(&braking, &omnibot, (float)acceleration_mps2, &reference);
+    robot_t robot = omnibot;
+    robot.tracked_point_offset_m = 0.5f; // where it is does not matter
+    (void)braking_step(&braking, &robot, (float)acceleration_mps2, &reference);
     return ((double)braking.rate - (double)(float)rate) / T;
 }
 
