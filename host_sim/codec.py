@@ -52,7 +52,7 @@ SPOKEN = {
     "PARAMETER_GET": ("index", "field", "part"),
     "PARAMETER_VALUE": ("index", "result", "field", "value"),
     "PARAMETER_TEXT": ("index", "field", "part", "char0", "char1", "char2", "char3", "char4", "char5"),
-    "PARAMETER_STORE": ("origin", "count", "unsaved"),
+    "PARAMETER_STORE": ("origin", "count", "unsaved", "robot_checksum"),
     "TRAJECTORY_BEGIN": ("length_bytes", "crc32", "counter"),
     "TRAJECTORY_DATA": ("offset_bytes", "byte0", "byte1", "byte2", "byte3", "byte4", "byte5"),
     "TRAJECTORY_ACK": ("offset_bytes", "result"),

@@ -58,7 +58,8 @@ class InprocBus(can.BusABC):
     Parameters
     ----------
     channel
-        A name for the bus; each InprocBus is a bus of its own.
+        The firmware library to load (*.so); anything else is a name for the bus, with build/host's. Each InprocBus is a
+        bus of its own.
     node
         The robot's node, 0 … 15.
     """
@@ -67,7 +68,7 @@ class InprocBus(can.BusABC):
 
     def __init__(self, channel: Any = "inproc", node: int = 0, **kwargs: Any) -> None:
         self.channel_info = f"omnibot firmware in-process: {channel}, node {node}"
-        self.library = load_firmware()
+        self.library = load_firmware(Path(channel) if str(channel).endswith(".so") else LIBRARY_FILE)
         # 64-bit words: aligned for anything that an instance holds.
         self.instance = np.zeros(self.library.omnibot_size() // 8 + 1, dtype=np.uint64)
         self._instance_address = self.instance.ctypes.data

@@ -18,7 +18,7 @@ from host_sim.codec import NODES, Codec, WireError
 from host_sim.errors import OmnibotError
 from host_sim.inproc import InprocBus
 from host_sim.pil import IMAGE_FILE, EmulatedBoard
-from host_sim.robot import Parameter
+from host_sim.robot import Parameter, Robot
 from host_sim.serial_bus import open_serial
 from host_sim.socketcan import PromptSocketcanBus
 
@@ -136,6 +136,7 @@ class Link:
         self._counter = 0
         self._key: int | None = None
         self._hellos = self._identities = 0  # sent, and answers to them
+        self._robot_checksum: int | None = None
         self._seals = (0, 0)  # of the sensor frames that went out last
         self._dropped_before = 0
         self.forget_rounding()
@@ -201,6 +202,9 @@ class Link:
                 self._key = int(self.codec["CHALLENGE"].named(data)["key"])
         elif arbitration_id == self.codec["IDENTITY"].arbitration_id:
             self._identities += 1
+        elif arbitration_id == self.codec["PARAMETER_STORE"].arbitration_id:
+            with contextlib.suppress(WireError):
+                self._robot_checksum = int(self.codec["PARAMETER_STORE"].named(data)["robot_checksum"])
 
     def _silent(self, waiting_for: str) -> SilentError:
         sil = f"is the firmware running there? (omnibot-sil --can INTERFACE --node {self.codec.node})"
@@ -289,6 +293,17 @@ class Link:
             raise OmnibotError(
                 f"two robots are node {self.codec.node} on {self.bus.channel_info}: end one of them, an omnibot-sil "
                 "that was left running perhaps, or give each a --node of its own"
+            )
+
+    def check_robot(self, robot: Robot) -> None:
+        """Make sure that the firmware said in ``hello`` to be made of the file that a robot was read from."""
+        if self._robot_checksum is None:
+            raise self._silent("PARAMETER_STORE")
+        if self._robot_checksum != robot.checksum:
+            raise RefusedError(
+                f"node {self.codec.node} is built for another robot ({self._robot_checksum:08X}) than {robot.file} "
+                f"({robot.checksum:08X}): build it for this one (cmake --preset host -DOMNIBOT_ROBOT={robot.file} && "
+                "cmake --build --preset host; a board: --preset board), or name its own file with --robot"
             )
 
     def _wait_for_rest(self) -> None:
@@ -543,7 +558,8 @@ def open_bus(name: str, node: int, interface: str | None, channel: str | None, b
     name
         ``inproc``, ``pil``, ``can``, or the name of a SocketCAN interface such as ``vcan0``.
     interface, channel, bitrate
-        python-can's own; given, they are used instead of ``name``. With ``pil``, a channel is the image to run.
+        python-can's own; given, they are used instead of ``name``. With ``pil``, a channel is the image to run; of the
+        interface ``omnibot`` it is the library.
     """
     choice = choose_bus(name, interface, channel, bitrate)
     if choice.interface is None and choice.name == "pil":

@@ -85,6 +85,7 @@ def prepare(link: Link, robot: Robot, scenario: Scenario, trajectory: Trajectory
 def set_up(link: Link, robot: Robot, scenario: Scenario, trajectory: Trajectory) -> SetUp:
     """Give a firmware in IDLE its pace, trajectory and parameters."""
     identity = link.hello(scenario.time)
+    link.check_robot(robot)
     held = {parameter.name: shortest(read_value(link, parameter.index)) for parameter in robot.parameters}
     others = held if scenario.keep_parameters else {p.name: p.default for p in robot.parameters}
     # All of them are set, those that stay as they are as well: so the log of the bus is whole.
@@ -166,7 +167,7 @@ def execute(
         "status": driven.status.value,
         "reason": driven.reason,
         "scenario": scenario.as_dict() | {"bus": bus_name, "command": command},
-        "versions": _versions(link, ready.identity),
+        "versions": _versions(link, robot, ready.identity),
         "parameters": {p.name: plain(p, ready.values[p.name]) for p in robot.parameters},
         "overridden_parameters": overridden(robot, ready),
         "cleared_faults": link.cleared_faults,
@@ -200,12 +201,13 @@ def _drive(
     return ready, drive_in_real_time(link, plant, robot, trajectory, scenario.sensors)
 
 
-def _versions(link: Link, identity: Identity) -> dict[str, str]:
+def _versions(link: Link, robot: Robot, identity: Identity) -> dict[str, str]:
     """Return what took part in a run."""
     packages = ("omnibot", "numpy", "numba", "python-can", "cantools")
     return {
         "firmware": identity.version,
         "protocol": f"{link.codec.protocol_hash:08X}",
+        "robot": f"{robot.checksum:08X}",
         "python": platform.python_version(),
         **{package: version(package) for package in packages},
     }

@@ -11,6 +11,7 @@ import math
 import sys
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -62,6 +63,7 @@ def standing(point: Array, duration_s: float) -> Trajectory:
 def prepare(link: Link, robot: Robot, wheel: int, torque_Nm: float, duration_s: float) -> None:
     """Give a robot in IDLE the reference and a bound that lets a wrong sign be seen."""
     link.hello()
+    link.check_robot(robot)
     defaults = {parameter.name: parameter.default for parameter in robot.parameters}
     for name, value in (defaults | {"order": 0.0, "torque_bound_Nm": 2.0 * torque_Nm}).items():
         link.set_parameter(robot.parameter(name), value)
@@ -139,6 +141,7 @@ def arguments_of(words: list[str] | None) -> argparse.Namespace:
     parser.add_argument("-c", "--channel", required=True, help="can0, /dev/ttyUSB0@1000000, …")
     parser.add_argument("-b", "--bitrate", type=int, help="bit/s, where the interface wants it")
     parser.add_argument("--node", type=int, default=0, help="default: 0")
+    parser.add_argument("--robot", type=Path, metavar="FILE", help="default: firmware/robot/omnibot.toml")
     parser.add_argument("--wheel", type=int, required=True, choices=(1, 2, 3))
     parser.add_argument("--torque", type=float, default=0.02, metavar="NM", help="default: 0.02 N*m, at most 0.15")
     parser.add_argument("--duration", type=float, default=2.0, metavar="S", help="default: 2 s, at most 60")
@@ -153,8 +156,9 @@ def arguments_of(words: list[str] | None) -> argparse.Namespace:
 def main(words: list[str] | None = None) -> int:
     """Check a wheel; status 0 when encoder and motor agree."""
     arguments = arguments_of(words)
-    robot, wheel = load_robot(), arguments.wheel
+    wheel = arguments.wheel
     try:
+        robot = load_robot(arguments.robot)
         with open_bus("", arguments.node, arguments.interface, arguments.channel, arguments.bitrate) as bus:
             link = Link(bus, Codec(node=arguments.node))
             prepare(link, robot, wheel, arguments.torque, arguments.duration)

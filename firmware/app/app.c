@@ -156,6 +156,7 @@ static void send_parameter_store(app_t *app)
         .origin = app->parameter_origin,
         .count = PARAMETER_COUNT,
         .unsaved = count_unsaved(app),
+        .robot_checksum = app->robot->file_checksum,
     };
     frame_t frame;
     parameter_store_encode(&frame, app->node, &store);

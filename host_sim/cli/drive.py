@@ -42,7 +42,7 @@ from host_sim.preview import Preview
 from host_sim.report import PAGE_NAME
 from host_sim.report.compare import load_runs, write_comparison
 from host_sim.report.plan import write_plan
-from host_sim.robot import load_robot
+from host_sim.robot import ROBOT_VARIABLE, load_robot
 from host_sim.run import LOG_FILE, BusLog, execute, run_folder
 from host_sim.scenario import PACES, SHARED_PARAMETERS, Scenario
 from host_sim.sensors import Sensors
@@ -108,6 +108,10 @@ ProfileOption = Annotated[
 LimitOption = Annotated[
     list[str] | None,
     typer.Option(help=f"NAME=NUMBER of {', '.join(LIMIT_NAMES)}; may be repeated", autocompletion=completion.limit),
+]
+RobotOption = Annotated[
+    Path | None,
+    typer.Option("--robot", envvar=ROBOT_VARIABLE, help="robot file (default: firmware/robot/omnibot.toml)"),
 ]
 CornerCutOption = Annotated[float, typer.Option(help="how far a fastest drive stays off a rounded corner's vertex, m")]
 
@@ -191,6 +195,7 @@ def run(
     profile: ProfileOption = None,
     limit: LimitOption = None,
     corner_cut: CornerCutOption = 0.05,
+    robot_file: RobotOption = None,
     bus: BusOption = "inproc",
     interface: InterfaceOption = None,
     channel: ChannelOption = None,
@@ -231,7 +236,7 @@ def run(
     bus_name = choose_bus(bus, interface, channel, bitrate).label
     if time == "realtime" and bus_name in WITHOUT_CLOCK:
         raise OmnibotError(f"{WITHOUT_CLOCK[bus_name]}: give --time realtime a bus, such as vcan0")
-    robot = load_robot()
+    robot = load_robot(robot_file)
     request = PathRequest(
         path,
         default_speed(path) if speed is None else speed,
@@ -260,7 +265,7 @@ def run(
     )
     scenario.traction_of(scenario.plant_robot(robot))
     scenario.firmware_parameters(robot)
-    trajectory = plan(request)
+    trajectory = plan(request, robot)
     codec = Codec(dbc, node)
     folder = out or new_folder(Path(path).stem)
     with open_bus(bus, node, interface, channel, bitrate) as opened, run_folder(folder):
@@ -295,6 +300,7 @@ def preview(
     profile: ProfileOption = None,
     limit: LimitOption = None,
     corner_cut: CornerCutOption = 0.05,
+    robot_file: RobotOption = None,
     out: Annotated[Path | None, typer.Option(help="folder of the results (default: a new one below runs/)")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="print plan.json instead of the table")] = False,
 ) -> None:
@@ -310,7 +316,7 @@ def preview(
         parse_limits(limit or []),
         corner_cut,
     )
-    made = Preview(request, load_robot())
+    made = Preview(request, load_robot(robot_file))
     written = write_plan(out or new_folder(f"plan-{Path(path).stem}"), made, command_line())
     print(json.dumps(made.numbers(), indent=2) if as_json else f"{made.text()}\n\nreport: {written}")  # noqa: T201
 

@@ -504,6 +504,9 @@ static void after_hello(subject_t *subject, const frame_t *frame)
     REQUIRE(identity.protocol_hash == PROTOCOL_HASH, "IDENTITY: the robot's hash");
     REQUIRE(identity.peer_matches == (model->peer_matches ? 1 : 0), "IDENTITY: whether the hashes agree");
     REQUIRE(identity.drive == model->drive, "IDENTITY: the drive");
+    parameter_store_message_t store;
+    (void)parameter_store_decode(&store, &answer[1]);
+    REQUIRE(store.robot_checksum == omnibot.file_checksum, "PARAMETER_STORE: the robot file");
 }
 
 static const struct {

@@ -146,12 +146,14 @@ def session() -> list[tuple[int, bytes]]:
 
 
 def comparable(identifier: int, data: bytes) -> tuple[str, object]:
-    """What of a frame does not depend on the definition's hash or the controller's gains."""
+    """What of a frame does not depend on the definition's hash, the robot file or the controller's gains."""
     message = CODEC.of_id(identifier)
     assert message is not None
     values = message.named(data)
     if message.name in ("HELLO", "IDENTITY"):
         values.pop("protocol_hash")
+    if message.name == "PARAMETER_STORE":
+        values.pop("robot_checksum")
     if message.name in ("TORQUE", "SLIP"):
         values = {name: value for name, value in values.items() if name in ("counter", "mode")}
     return message.name, values

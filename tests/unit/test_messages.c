@@ -294,7 +294,7 @@ static const struct {
     {528, 2, false, encode_parameter_get, decode_parameter_get},
     {544, 6, false, encode_parameter_value, decode_parameter_value},
     {560, 8, false, encode_parameter_text, decode_parameter_text},
-    {576, 3, false, encode_parameter_store, decode_parameter_store},
+    {576, 7, false, encode_parameter_store, decode_parameter_store},
     {768, 8, true, encode_trajectory_begin, decode_trajectory_begin},
     {784, 8, false, encode_trajectory_data, decode_trajectory_data},
     {800, 3, false, encode_trajectory_ack, decode_trajectory_ack},

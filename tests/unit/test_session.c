@@ -244,6 +244,14 @@ static void test_hello_tells_that_nothing_waits_to_be_kept(void)
     TEST_ASSERT_EQUAL_UINT8(0, store.unsaved);
 }
 
+static void test_hello_tells_which_robot_file_the_firmware_is_of(void)
+{
+    parameter_store_message_t store;
+    hello();
+    TEST_ASSERT_EQUAL(DECODE_OK, parameter_store_decode(&store, &last[PARAMETER_STORE_FUNCTION]));
+    TEST_ASSERT_EQUAL_HEX32(omnibot.file_checksum, store.robot_checksum);
+}
+
 static void test_hello_in_lockstep_takes_any_tick_as_new(void)
 {
     sync(100);
@@ -572,6 +580,7 @@ int main(void)
     RUN_TEST(test_use_of_another_drive_forgets_what_was_read_by_the_old_one);
     RUN_TEST(test_robot_that_was_never_told_anything_does_not_drive_by_timer);
     RUN_TEST(test_hello_tells_that_nothing_waits_to_be_kept);
+    RUN_TEST(test_hello_tells_which_robot_file_the_firmware_is_of);
     RUN_TEST(test_hello_in_lockstep_takes_any_tick_as_new);
     RUN_TEST(test_hello_while_braking_with_a_fault_ends_in_fault);
     RUN_TEST(test_tick_that_comes_again_at_rest_is_answered_without_a_step);
