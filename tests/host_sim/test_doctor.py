@@ -128,7 +128,7 @@ def test_main_job_is_done_or_named_with_its_cure(monkeypatch: pytest.MonkeyPatch
     assert "301 ticks driven" in works.found
     assert main_job_works([works])
 
-    def no_library() -> None:
+    def no_library(_library: object) -> None:
         raise OmnibotError("no firmware library")
 
     monkeypatch.setattr("host_sim.inproc.load_firmware", no_library)

@@ -14,7 +14,7 @@ import pytest
 
 from host_sim.robot import ROOT
 
-COMMAND = re.compile(r"(sudo |tools/|\.venv/bin/|build/|cmake |ctest |candump |cansend |canplayer |cat |mkdir |python)")
+COMMAND = re.compile(r"(sudo |tools/|\.venv/bin/|build/|cmake |ctest |candump |cansend |canplayer |cat |cp |mkdir |printf |python)")
 TIMEOUT_s = 900.0
 
 ELSEWHERE = {
