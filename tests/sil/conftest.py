@@ -1,5 +1,6 @@
 """The firmware as a process on vcan0. tools/with-vcan -- pytest tests/sil."""
 
+import contextlib
 import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -20,9 +21,9 @@ def vcan0() -> None:
         pytest.fail("there is no omnibot-sil: tools/build host makes it", pytrace=False)
 
 
-@pytest.fixture
-def start_firmware() -> Iterator[Start]:
-    """Start omnibot-sil and wait until it listens; what is left at the end of the test is killed."""
+@contextlib.contextmanager
+def firmwares() -> Iterator[Start]:
+    """Start omnibot-sil and wait until it listens; what is left at the end is killed."""
     started: list[subprocess.Popen[bytes]] = []
 
     def start(*options: str, node: int = 0) -> "subprocess.Popen[bytes]":
@@ -39,3 +40,16 @@ def start_firmware() -> Iterator[Start]:
         process.wait()
         assert process.stderr is not None
         process.stderr.close()
+
+
+@pytest.fixture
+def start_firmware() -> Iterator[Start]:
+    with firmwares() as start:
+        yield start
+
+
+@pytest.fixture(scope="module")
+def start_firmware_once() -> Iterator[Start]:
+    """The same, for what all tests of a module look at."""
+    with firmwares() as start:
+        yield start
