@@ -8,12 +8,13 @@ from typing import Annotated
 import typer
 
 from host_sim.canlog import SUFFIXES, Recording, record, whole_file, write_log
-from host_sim.cli import completion
 from host_sim.cli.app import RunFailedError, app
+from host_sim.cli.bus import BitrateOption, BusOption, ChannelOption, InterfaceOption, TimeoutOption, check_timeout
 from host_sim.codec import DBC_FILE
 from host_sim.errors import OmnibotError
 from host_sim.link import open_bus
 from host_sim.mcap_file import write_mcap
+from host_sim.monitor.listen import choose_listening, open_listening
 from host_sim.replay import Outcome, inspect, replay
 from host_sim.signals import RunSignals, open_signals, write_csv, write_npz
 
@@ -23,19 +24,10 @@ SIGNAL_WRITERS: dict[str, Callable[[RunSignals, Path], None]] = {
     "mcap": write_mcap,
 }
 FORMATS = (*SIGNAL_WRITERS, *(suffix.removeprefix(".") for suffix in SUFFIXES))
-WITHOUT_LISTENERS = ("inproc", "pil")
 
 log = typer.Typer(no_args_is_help=True, help="Record what is on a bus, and give a log in other formats.")
 app.add_typer(log, name="log")
 
-Interface = Annotated[
-    str | None,
-    typer.Option("-i", "--interface", help="python-can interface, over --bus", autocompletion=completion.interface),
-]
-Channel = Annotated[
-    str | None, typer.Option("-c", "--channel", help="python-can channel", autocompletion=completion.channel)
-]
-Bitrate = Annotated[int | None, typer.Option("-b", "--bitrate", help="bit/s, where the interface wants it")]
 Node = Annotated[int | None, typer.Option(min=0, max=15, help="the robot's node (default: the only one in the log)")]
 Dbc = Annotated[Path, typer.Option(help="wire definition to read it by")]
 AsJson = Annotated[bool, typer.Option("--json", help="print the result as JSON")]
@@ -44,17 +36,15 @@ AsJson = Annotated[bool, typer.Option("--json", help="print the result as JSON")
 @log.command("record")
 def record_log(
     file: Annotated[Path, typer.Argument(help="a new file; its suffix tells the format: .log, .asc or .blf")],
-    bus: Annotated[str, typer.Option(help="a SocketCAN interface", autocompletion=completion.bus)] = "vcan0",
-    interface: Interface = None,
-    channel: Channel = None,
-    bitrate: Bitrate = None,
+    bus: BusOption = "vcan0",
+    interface: InterfaceOption = None,
+    channel: ChannelOption = None,
+    bitrate: BitrateOption = None,
     duration: Annotated[float | None, typer.Option(min=0.0, help="time to record, s (default: until Ctrl-C)")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Record every frame on a bus, with the time at which it came."""
-    if interface is None and bus in WITHOUT_LISTENERS:
-        raise OmnibotError(f"nobody else can listen on --bus {bus}: 'omnibot run' writes its bus.log itself")
-    with open_bus(bus, 0, interface, channel, bitrate) as opened:
+    with open_listening(choose_listening(bus, interface, channel, bitrate), 0) as opened:
         frames = record(opened, file, duration)
     print(json.dumps({"file": str(file), "frames": frames}) if as_json else f"{frames} frames: {file}")  # noqa: T201
 
@@ -90,18 +80,17 @@ def export_log(
 @app.command("replay")
 def replay_log(
     source: Annotated[Path, typer.Argument(help="a bus log of a lockstep session, or the folder of a run")],
-    bus: Annotated[
-        str, typer.Option(help="inproc, pil, or a SocketCAN interface", autocompletion=completion.bus)
-    ] = "inproc",
-    interface: Interface = None,
-    channel: Channel = None,
-    bitrate: Bitrate = None,
+    bus: BusOption = "inproc",
+    interface: InterfaceOption = None,
+    channel: ChannelOption = None,
+    bitrate: BitrateOption = None,
     node: Node = None,
-    timeout: Annotated[float, typer.Option(min=0.001, help="wall-clock seconds the firmware may be silent")] = 2.0,
+    timeout: TimeoutOption = 2.0,
     dbc: Dbc = DBC_FILE,
     as_json: AsJson = False,
 ) -> None:
     """Send a log's frames to the firmware once more; it must give the recorded answers, byte for byte."""
+    check_timeout(timeout)
     session = inspect(source, node, dbc)
     with open_bus(bus, session.codec.node, interface, channel, bitrate) as opened:
         outcome = replay(session, opened, timeout)

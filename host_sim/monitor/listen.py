@@ -33,8 +33,8 @@ def choose_listening(name: str, interface: str | None, channel: str | None, bitr
     choice = choose_bus(name, interface, channel, bitrate if configured else None)
     if (choice.interface or choice.name) in OF_ONE_ROBOT:
         raise OmnibotError(
-            f"{choice.interface or choice.name} is a bus within a run, nobody else can hear it: "
-            "drive on a SocketCAN interface (omnibot run --bus vcan0) and give it with --bus"
+            f"{choice.interface or choice.name} is a bus within a run, which writes its own bus.log, and nobody else "
+            "can hear it: drive on a SocketCAN interface (omnibot run --bus vcan0) and give it with --bus"
         )
     return choice
 

@@ -1,8 +1,11 @@
 """What several test modules look at."""
 
+import shutil
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from playwright.sync_api import Browser, sync_playwright
 
 from host_sim.codec import Codec
 from host_sim.drive import Status, drive, start_state
@@ -12,6 +15,17 @@ from host_sim.plant import Plant
 from host_sim.robot import load_robot
 from host_sim.run import LOG_FILE, BusLog, prepare
 from host_sim.scenario import Scenario
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    """Return a Chromium, for pages as a person sees them."""
+    executable = shutil.which("chromium") or shutil.which("google-chrome")
+    assert executable, "no Chromium: tools/setup test installs one"
+    with sync_playwright() as playwright:
+        opened = playwright.chromium.launch(executable_path=executable, args=["--no-sandbox"])
+        yield opened
+        opened.close()
 
 
 @pytest.fixture(scope="session")

@@ -4,7 +4,6 @@ import io
 import json
 import math
 import re
-import shutil
 import socket
 import threading
 import time
@@ -17,7 +16,7 @@ from typing import Any
 
 import can
 import pytest
-from playwright.sync_api import Browser, sync_playwright
+from playwright.sync_api import Browser
 from rich.console import Console
 from serial_robot import SerialRobot
 from typer.testing import CliRunner
@@ -375,16 +374,6 @@ def test_wheels_of_the_page_turn_the_robot_as_the_model_says() -> None:
         assert (math.cos(angle), math.sin(angle)) == direction
         turned = wheel["x_m"] * row[1] - wheel["y_m"] * row[0]
         assert turned == pytest.approx(row[2])
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    executable = shutil.which("chromium") or shutil.which("google-chrome")
-    assert executable, "no Chromium: tools/setup test installs one"
-    with sync_playwright() as playwright:
-        opened = playwright.chromium.launch(executable_path=executable, args=["--no-sandbox"])
-        yield opened
-        opened.close()
 
 
 INK = """(id) => {

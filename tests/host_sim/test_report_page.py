@@ -3,13 +3,11 @@
 import io
 import json
 import re
-import shutil
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Self
 
 import pytest
-from playwright.sync_api import Browser, Page, sync_playwright
+from playwright.sync_api import Browser, Page
 from pypdf import PdfReader
 from typer.testing import CliRunner
 
@@ -19,16 +17,6 @@ from host_sim.errors import OmnibotError
 SHORT = ["--speed", "0.5", "--start-before-corner", "0.5", "--duration", "1.2"]
 DESK, PHONE = {"width": 1280, "height": 900}, {"width": 360, "height": 740}
 UNITS = {"µm": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0, "µrad": 1e-6, "mrad": 1e-3, "rad": 1.0, "%": 1e-2}
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    executable = shutil.which("chromium") or shutil.which("google-chrome")
-    assert executable, "no Chromium: tools/setup test installs one"
-    with sync_playwright() as playwright:
-        opened = playwright.chromium.launch(executable_path=executable, args=["--no-sandbox"])
-        yield opened
-        opened.close()
 
 
 @pytest.fixture(scope="module")
